@@ -15,10 +15,12 @@ Groups of entry points, and the objects that they name:
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from seatrial.daq.errors import SeatrialError, warn
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
 
@@ -36,6 +38,9 @@ def plugins(group: str) -> dict[str, EntryPoint]:
     SeatrialError
         If two installed packages use the same name.
     """
+    # Its import takes as long as that of all modules of a small process, such as the watchdog, which has no plugins.
+    from importlib.metadata import entry_points
+
     found: dict[str, EntryPoint] = {}
     for point in entry_points(group=group):
         before = found.setdefault(point.name, point)

@@ -241,9 +241,10 @@ def _starts(c: Channels, m: GridMotion, width: int) -> NDArray[np.intp]:
 
 
 def _clearest_step(regressions: Sequence[_Regression]) -> DelayStep | None:
-    """Return the step with the least squared error, clear or not; None without enough blocks of time.
+    """Return the step with the least squared error, if it could be clear; else None.
 
-    ``regressions`` are those of one motion at the same times.
+    ``regressions`` are those of one motion at the same times. A step needs enough blocks of time before and after it.
+    The standard error is computed only of a step that would be clear with any standard error.
     """
     products = [regression.products() for regression in regressions]
     n_blocks = products[0].shape[1] if products else 0
@@ -257,6 +258,10 @@ def _clearest_step(regressions: Sequence[_Regression]) -> DelayStep | None:
     split = min(errors, key=lambda k: float(errors[k].min()))
     least, same = float(errors[split].min()), float(np.diag(errors[split]).min())
     total = sum(float(s[0, -1, -1, -1]) for s in sums)
+    t = float(regressions[0].t[0]) + split * BLOCK_S
+    step = DelayStep(t, *_best_lags(errors[split]), 0.0, 1.0 - least / same, 1.0 - least / total)
+    if not step.is_clear:
+        return None
     variance = 0.0
     for begin, end in ((0, split), (split, n_blocks)):
         groups = np.array_split(np.arange(begin, end), min(GROUPS, end - begin))
@@ -271,9 +276,7 @@ def _clearest_step(regressions: Sequence[_Regression]) -> DelayStep | None:
             sizes.append(after - before)
         spread = np.array(sizes) - np.mean(sizes)
         variance += (len(groups) - 1) / len(groups) * float(spread @ spread)
-    before, after = _best_lags(errors[split])
-    t = float(regressions[0].t[0]) + split * BLOCK_S
-    return DelayStep(t, before, after, float(np.sqrt(variance)), 1.0 - least / same, 1.0 - least / total)
+    return step._replace(se=float(np.sqrt(variance)))
 
 
 def _errors_of_lags(parts: Sequence[tuple[Array, Array]]) -> Array:

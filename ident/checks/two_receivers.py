@@ -71,9 +71,13 @@ def second_receiver(t: Array, x: Array, y: Array) -> SecondReceiver | None:
         usual = float(np.median(np.diff(t))) * length if t.size > 1 else 0.0
         windows = [slice(k, k + length) for k in starts.tolist()]
         windows = [w for w in windows if 0.0 < t[w][-1] - t[w][0] < LONGEST_WINDOW * usual]
-        found = [_second_receiver_in_window(t[w], place[w], resolution) for w in windows]
-        both = [row for row in found if row is not None]
-        if len(both) >= FEWEST_OF_EACH and len(both) >= LEAST_SHARE * len(found):
+        both: list[SecondReceiver] = []
+        for n_left, w in zip(range(len(windows) - 1, -1, -1), windows, strict=True):
+            if (row := _second_receiver_in_window(t[w], place[w], resolution)) is not None:
+                both.append(row)
+            if len(both) + n_left < LEAST_SHARE * len(windows):  # too few, whatever the other windows show
+                break
+        if len(both) >= FEWEST_OF_EACH and len(both) >= LEAST_SHARE * len(windows):
             return SecondReceiver(*(float(v) for v in np.median(np.array(both), axis=0)))
     return None
 

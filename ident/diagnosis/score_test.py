@@ -724,7 +724,8 @@ def score_threshold(score: Score, among: Sequence[Score], policy: SearchPolicy =
     policy
         Thresholds of the score tests.
     """
-    n_tests = sum(s.nonparametric == score.nonparametric for s in among)
+    own = score.nonparametric
+    n_tests = sum(s.nonparametric == own for s in among)
     return float(chi2_isf(policy.false_alarm_probability / 2 / n_tests, score.df))
 
 

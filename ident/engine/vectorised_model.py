@@ -122,8 +122,9 @@ class VectorisedModel:
                 rate = self.model.rates(*own)
             else:
                 rate = recorded.signals(self.model, *own, until_output=True).rate
-            columns = [np.broadcast_to(rate[v.name], len(x)) for v in self.model.states]
-        found: Array = np.stack(columns, axis=1, dtype=np.float64)
+            found = np.empty((len(x), self.n_states))
+            for j, v in enumerate(self.model.states):
+                found[:, j] = rate[v.name]
         return found
 
     @cached_property

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -421,7 +422,16 @@ def rgs(t: Array, corner: float, n_channels: int, sd: float, n_max: float, rng: 
     step = t[1] - t[0]
     from scipy import signal  # imported here: it takes more than a second, and only baselines need it
 
-    sos = signal.butter(2, min(corner * 2 * step, 0.99), output="sos")
     settle = round(min(3.0 / corner, 300.0) / step)
-    raw = signal.sosfilt(sos, rng.standard_normal((t.size + settle, n_channels)), axis=0)[settle:]
+    raw = signal.sosfilt(
+        _low_pass(min(corner * 2 * step, 0.99)), rng.standard_normal((t.size + settle, n_channels)), axis=0
+    )[settle:]
     return np.asarray(np.clip(sd * raw / raw.std(axis=0), -n_max, n_max))
+
+
+@lru_cache  # baselines have hundreds of sequences with a few corner frequencies
+def _low_pass(corner: float) -> Array:
+    """Return the second-order sections of a Butterworth filter with this corner, a part of the Nyquist frequency."""
+    from scipy import signal
+
+    return np.asarray(signal.butter(2, corner, output="sos"))

@@ -853,27 +853,37 @@ def linearise(
         if HEADING in constant
     }
 
-    def about(x: Array, u: Array, values: Array, moved: tuple[LinearModel, ...] = ()) -> LinearModel:
-        """Return the linear model about the states x (n,) and inputs u (m,), with these values of the parameters."""
-        A, B = (f(x[None], u[None], values)[0] for f in (rates.by_states, rates.by_inputs))
-        named = dict(zip(reduced.values, values, strict=True))
-        delays = {i: float(named["tau_n"]) for i in rates.inputs if "tau_n" in named and i in rates.delayed}
-        by_heading = np.zeros(len(x))
+    def about(x: Array, u: Array, values: Array, moved: tuple[LinearModel, ...] = ()) -> list[LinearModel]:
+        """Return the linear models about the states x (n_rows, n) and inputs u (n_rows, m) of each row.
+
+        ``values`` are those of the parameters: (n_parameters,), or (n_rows, n_parameters) with values for each row.
+        """
+        A, B = (f(x, u, values) for f in (rates.by_states, rates.by_inputs))
+        by_heading = np.zeros_like(x)
         for side, beside in turned.items():
-            by_heading += side * beside(x[None], u[None], values)[0] / (2.0 * HEADING_STEP)
-        return LinearModel(
-            speed, rates.names, rates.inputs, A, B, x, u, delays, units, by_heading, moved, constant, assumed,
-            at_speed=partial(linearise, model, conditions=constant),
-        )  # fmt: skip
+            by_heading += side * beside(x, u, values) / (2.0 * HEADING_STEP)
+        found = []
+        for k, of_row in enumerate(np.broadcast_to(values, (len(x), values.shape[-1]))):
+            named = dict(zip(reduced.values, of_row, strict=True))
+            delays = {i: float(named["tau_n"]) for i in rates.inputs if "tau_n" in named and i in rates.delayed}
+            found.append(LinearModel(
+                speed, rates.names, rates.inputs, A[k], B[k], x[k], u[k], delays, units, by_heading[k], moved, constant,
+                assumed, at_speed=partial(linearise, model, conditions=constant),
+            ))  # fmt: skip
+        return found
+
+    def about_the_estimates(moved: tuple[LinearModel, ...] = ()) -> LinearModel:
+        """Return the linear model about the operating point, with the values of the parameters that were estimated."""
+        (found,) = about(x0[None], u0[None], rates.values, moved)
+        return found
 
     directions = principal_directions(reduced, rates.values, _of_parameters(known, rates.parameters))
     if not directions:
-        return about(x0, u0, rates.values)
+        return about_the_estimates()
     points = _moved_operating_points(rates, x0, u0, np.array(directions))
     if points is None:
-        return about(x0, u0, rates.values)  # the errors are too large for a linear theory
-    found = tuple(about(x, u, values) for x, u, values in zip(*points, directions, strict=True))
-    return about(x0, u0, rates.values, found)
+        return about_the_estimates()  # the errors are too large for a linear theory
+    return about_the_estimates(tuple(about(*points, np.array(directions))))
 
 
 def sway_slopes(model: Model, speeds: Array, inputs: Array, conditions: Mapping[str, float]) -> Array:

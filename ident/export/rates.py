@@ -76,6 +76,12 @@ class Rates:
         rates = self(_moved_by_each_variable(x), np.tile(u, (2 * n, 1)), _repeated(values, 2 * n))
         return _central_differences(rates, len(x), n)
 
+    def with_slopes(self, x: Array, u: Array) -> tuple[Array, Array]:
+        """Return the rates (n_rows, n), and their derivatives (n_rows, n, n) by the dynamic states, in one call."""
+        n = x.shape[1]
+        rates = self(np.concatenate([x, _moved_by_each_variable(x)]), np.tile(u, (2 * n + 1, 1)))
+        return rates[: len(x)], _central_differences(rates[len(x) :], len(x), n)
+
     def by_inputs(self, x: Array, u: Array, values: Array | None = None) -> Array:
         """Return the derivatives (n_rows, n, m) of the rates by the inputs. ``values`` as in the call."""
         m = u.shape[1]

@@ -15,6 +15,8 @@ from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 
 FIRST_STEP_S, LAST_STEP_S, GROWTH, STEPS = 0.1, 1e6, 1.5, 80  # step of time in the search [s], and its growth
+# The search ends early if a step of at least LONG_STEP_S [s] changes no state by more than REACHED, in its unit.
+LONG_STEP_S, REACHED = 1e3, 1e-13
 STEADY = 1e-7  # largest rate of a steady motion, in the unit of each state per second
 RELATIVE_STEP = 1e-4  # step of the derivatives by the parameters, as a part of their standard errors
 
@@ -76,7 +78,8 @@ def steady_motion(
     Notes
     -----
     The search is the implicit Euler method with growing steps (pseudo-transient continuation, Kelley and Keyes 1998),
-    which ends as Newton's method. The errors are those of the implicit function theorem: ``dx/dp = -J^-1 df/dp``.
+    which ends as Newton's method, as soon as all motions are reached. The errors are those of the implicit function
+    theorem: ``dx/dp = -J^-1 df/dp``.
     """
     reduced, _ = without_nuisance(model)
     rates, u = Rates(reduced, held, chosen_conditions(reduced, at=conditions)), np.atleast_2d(u)
@@ -84,11 +87,14 @@ def steady_motion(
     x = np.zeros((len(u), n))
     step = FIRST_STEP_S
     for _ in range(STEPS):
-        slope = rates.by_states(x, u)
-        x = x + np.linalg.solve(np.eye(n) / step - slope, rates(x, u)[..., None])[..., 0]
+        rate, slope = rates.with_slopes(x, u)
+        change = np.linalg.solve(np.eye(n) / step - slope, rate[..., None])[..., 0]
+        x = x + change
+        if step >= LONG_STEP_S and not np.any(np.abs(change) > REACHED):
+            break
         step = min(step * GROWTH, LAST_STEP_S)
-    rest = np.abs(rates(x, u)).max(axis=1)
-    slope = rates.by_states(x, u)
+    rate, slope = rates.with_slopes(x, u)
+    rest = np.abs(rate).max(axis=1)
     # A motion is steady in practice only if it is stable: the real parts of all poles are negative.
     good = np.isfinite(x).all(axis=1) & (rest < STEADY)
     good &= np.array([bool((np.linalg.eigvals(s).real < 0.0).all()) if np.isfinite(s).all() else False for s in slope])

@@ -19,6 +19,7 @@ were estimated from other records. GNSS samples may be withheld to measure the e
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -482,10 +483,10 @@ def _parameter_estimates(G: Array, e: Array, mean: Array) -> Iterator[tuple[Arra
             variance = 1.0 + g @ Cg
             innovation = own + g @ mean
             # An outlier informs of the parameters no more than a sample at this distance (Huber).
-            distance = abs(innovation) / np.sqrt(variance)
+            distance = abs(innovation) / math.sqrt(variance)
             gain = Cg / (variance * max(distance / LARGEST_INNOVATION, 1.0))
             mean = mean - gain * innovation
-            C = C - np.outer(gain, Cg)
+            C = C - gain[:, None] * Cg  # np.outer takes three times as long
         yield mean, C
 
 

@@ -35,7 +35,7 @@ from seatrial.ident.workflows.model_inputs import (
     unused_lines,
     unused_signals,
 )
-from seatrial.ident.workflows.output import sensor_rates, validity, write_all
+from seatrial.ident.workflows.output import sensor_rates, validity, write_model, write_page
 from seatrial.ident.workflows.vehicle_model import considered_notes
 
 
@@ -142,14 +142,16 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     return done.result
 
 
-def write_diagnosed_model(done: DiagnosedModel, out: Path) -> None:
-    """Write model.toml with the found effects, result.json and report.html to the folder ``out``.
+def write_diagnosed_model(done: DiagnosedModel, out: Path, report: bool = True) -> None:
+    """Write model.toml with the found effects, result.json and, if ``report``, report.html to the folder ``out``.
 
     The folder is created if it does not exist. Existing files of these names are replaced.
     """
     after = done.found.after
     refits, rates = refitted_effects(done.found), sensor_rates(after)
-    write_all(out, done.result, after.fit, validity(after), done.effects_file, rates=rates, refits=refits)
+    write_model(out, done.result, after.fit, validity(after), done.effects_file, rates=rates, refits=refits)
+    if report:
+        write_page(out, done.result)
 
 
 def refitted_effects(found: Diagnosis) -> tuple[RefittedEffect, ...]:

@@ -22,7 +22,7 @@ from seatrial.ident.results import CalibrationRow, FitResult, write_result
 from seatrial.ident.validation import shown_inputs
 
 
-def write_all(
+def write_model(
     out: Path,
     result: FitResult,
     fit: Fit,
@@ -32,14 +32,14 @@ def write_all(
     rates: Mapping[str, float] | None = None,
     refits: Sequence[RefittedEffect] = (),
 ) -> None:
-    """Write model.toml, result.json and report.html to a folder; existing files of these names are replaced.
+    """Write model.toml and result.json to a folder; existing files of these names are replaced.
 
     Parameters
     ----------
     out : Path
         Folder of the results; it is created if it does not exist.
     result : FitResult
-        Content of result.json and report.html. Its provenance, the origin of x and y of its first estimation log that
+        Content of result.json. Its provenance, the origin of x and y of its first estimation log that
         has one, and its calibration on validation data are also written to model.toml.
     fit : Fit
         Model and estimates for model.toml.
@@ -72,6 +72,10 @@ def write_all(
         refits=refits,
     )
     write_result(result, out / "result.json")
+
+
+def write_page(out: Path, result: FitResult) -> None:
+    """Write report.html to the folder ``out``; an existing file is replaced."""
     write_report(result, out / "report.html")
 
 

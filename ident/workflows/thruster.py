@@ -89,7 +89,7 @@ from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import with_findings
 from seatrial.ident.workflows.electrical import electrical_channels
 from seatrial.ident.workflows.model_inputs import check_horizon, check_names
-from seatrial.ident.workflows.output import write_all
+from seatrial.ident.workflows.output import write_model, write_page
 
 BODE_HZ = (0.02, 10.0)  # range of the frequency response of the shaft
 BODE_POINTS = 200
@@ -154,7 +154,8 @@ class ThrusterFit:
         """Write model.toml, result.json, report.html and the files of `write_tables` to the folder ``out``."""
         commands = np.concatenate([view.record.u[:, 0] for view in self.fitted.estimation])
         ranges = {"n_cmd": (float(commands.min()), float(commands.max()))}
-        write_all(out, self.result, self.fitted.fit, ranges, calibration=self.calibration)
+        write_model(out, self.result, self.fitted.fit, ranges, calibration=self.calibration)
+        write_page(out, self.result)
         write_tables(out, self.result)
 
 

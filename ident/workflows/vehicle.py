@@ -39,7 +39,7 @@ from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import check_first, require_thrust_and_length
 from seatrial.ident.workflows.dynamics import dynamics_of
 from seatrial.ident.workflows.model_inputs import unused_lines
-from seatrial.ident.workflows.output import sensor_rates, validity, write_all
+from seatrial.ident.workflows.output import sensor_rates, validity, write_model, write_page
 from seatrial.ident.workflows.vehicle_model import VehicleProblem, VehicleRequest, vehicle_problem
 
 LARGEST_SHARE_LOST = 0.05  # of the thrust, by shaft speeds that differ from the commands; more gives a warning
@@ -93,12 +93,14 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     return done.result
 
 
-def write_vehicle_fit(done: VehicleFit, out: Path) -> None:
-    """Write model.toml, result.json and report.html of a fit to the folder ``out``.
+def write_vehicle_fit(done: VehicleFit, out: Path, report: bool = True) -> None:
+    """Write model.toml, result.json and, if ``report``, report.html of a fit to the folder ``out``.
 
     The folder is created if it does not exist. Existing files of these names are replaced.
     """
-    write_all(out, done.result, done.fitted.fit, validity(done.fitted), rates=sensor_rates(done.fitted))
+    write_model(out, done.result, done.fitted.fit, validity(done.fitted), rates=sensor_rates(done.fitted))
+    if report:
+        write_page(out, done.result)
 
 
 def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_dynamics: bool = True) -> VehicleFit:

@@ -241,7 +241,9 @@ class BoatPlant:
         k1 = self._rhs(self.state, *self._n, energy, *self._forces)
         n_mid = (left.advance(), right.advance())
         n_end = (left.advance(), right.advance())
-        f_mid, self._n = self._delayed_shaft_speeds(n_mid), self._delayed_shaft_speeds(n_end)
+        f_mid, self._n = n_mid, n_end
+        if self._inflows:
+            f_mid, self._n = self._delayed_shaft_speeds(n_mid), self._delayed_shaft_speeds(n_end)
         self.state = rk4(self._rhs, self.state, k1, self.step_s, (*f_mid, *self._n), energy, self._forces)
         self.energy += self.step_s * (abs(n_mid[0]) ** 3 + abs(n_mid[1]) ** 3)
         for thrusters in self._hot:
@@ -254,10 +256,8 @@ class BoatPlant:
         """Return the shaft speeds, left and right, that produce thrust at present: ``n`` after the effects' delays.
 
         ``n`` has the present shaft speeds (normalised). Each call advances the delays by half a step of the simulation.
-        If no hidden effect delays the thrust, ``n`` is returned.
+        It is called only if a hidden effect delays the thrust.
         """
-        if not self._inflows:
-            return n
         left, right = self._inflows
         return left.advance(n[0]), right.advance(n[1])
 

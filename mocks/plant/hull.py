@@ -104,43 +104,33 @@ def draw_current(seed: int) -> tuple[float, float]:
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 # forces(state, velocity through the water (body axes), velocity over ground (NED), (cos psi, sin psi), shaft speeds
-# (left, right), used energy, external forces) -> (X, Y, N)
-Forces = Callable[[State, Pair, Pair, Pair, Pair, float, Triple], Triple]
+# (left, right), forces without it) -> (X, Y, N)
+EffectForces = Callable[[State, Pair, Pair, Pair, Pair, Triple], Triple]
 
 
-def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEffect]) -> Forces:
-    """Return a function that computes the sum of the forces on the boat: surge, sway and yaw moment [N, N, N m].
+def _effect_forces(effects: Sequence[HiddenEffect]) -> EffectForces | None:
+    """Return a function that adds the forces of the hidden ``effects`` to those on the boat (`EffectForces`).
 
-    Its arguments are state, velocity through the water and over ground, heading, shaft speeds, used energy and external
-    forces (`Forces`). The sum contains the thrust by ``thruster``, the damping by ``hull``, the forces of the hidden
-    ``effects`` and the external forces. Coriolis forces are not in it.
+    The result is None if no effect has a force. Effects that change the thrust are not among them.
     """
-    c1, c2 = thruster.c1, thruster.c2
-    d_u, d_uu, d_v, d_vv, d_r, d_rr = hull.d_u, hull.d_uu, hull.d_v, hull.d_vv, hull.d_r, hull.d_rr
-    thrust_hooks = [e.thrust for e in effects if e.thrust is not None]
     force_hooks = [e.force for e in effects if e.force is not None]
     jets = [e.jet for e in effects if e.jet is not None]
     tethers = [e.tether for e in effects if e.tether is not None]
     shores = [e.shore for e in effects if e.shore is not None]
+    if not (force_hooks or jets or tethers or shores):
+        return None
 
-    def forces(s: State, water: Pair, ground: Pair, turn: Pair, n: Pair, energy: float, external: Triple) -> Triple:
+    def forces(s: State, water: Pair, ground: Pair, turn: Pair, n: Pair, others: Triple) -> Triple:
         """Return the sum of all forces on the boat: X, Y [N] and the yaw moment N [N m].
 
         ``s`` is the state. ``water`` [m/s] is the velocity through the water in body axes, and ``ground`` [m/s] that
         over ground, north and east. ``turn`` has cosine and sine of the heading, and ``n`` the shaft speeds, left and
-        right. ``energy`` is the used energy in units of ENERGY_UNIT. ``external`` has the disturbance forces X, Y, N.
+        right. ``others`` has the forces X, Y, N without those of hidden effects.
         """
         (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r) = water, ground, turn, n
-        x_force, y_force, n_moment = external
-        r = s[5]
-        f_l, f_r = (c1 * abs(n_l) + c2 * n_l) * n_l, (c1 * abs(n_r) + c2 * n_r) * n_r
-        for modify in thrust_hooks:
-            f_l, f_r = modify(n_l, n_r, u_w + ARM * r, u_w - ARM * r, f_l, f_r, energy)
-        x_force += f_l + f_r - (d_u + d_uu * abs(u_w)) * u_w
-        y_force -= (d_v + d_vv * abs(v_w)) * v_w
-        n_moment += ARM * (f_l - f_r) - (d_r + d_rr * abs(r)) * r
+        x_force, y_force, n_moment = others
         for extra in force_hooks:
-            x_extra, y_extra, n_extra = extra(c, si, u_w, v_w, r, vel_n, vel_e)
+            x_extra, y_extra, n_extra = extra(c, si, u_w, v_w, s[5], vel_n, vel_e)
             x_force, y_force, n_moment = x_force + x_extra, y_force + y_extra, n_moment + n_extra
         for jet in jets:
             sway, yaw = jet(n_l, n_r)
@@ -185,7 +175,10 @@ def make_rhs(
     -----
     The function is one closure over plain floats because a mock at speed 20 calls it about 16,000 times a second.
     """
-    sin, cos, forces = math.sin, math.cos, _make_forces(hull, thruster, effects)
+    sin, cos, effect_forces = math.sin, math.cos, _effect_forces(effects)
+    c1, c2 = thruster.c1, thruster.c2
+    d_u, d_uu, d_v, d_vv, d_r, d_rr = hull.d_u, hull.d_uu, hull.d_v, hull.d_vv, hull.d_r, hull.d_rr
+    thrust_hooks = [e.thrust for e in effects if e.thrust is not None]
     m, xa, ya = hull.mass, hull.added_u, hull.added_v
     x_g = sum(e.x_g for e in effects)
     m_u, m_v, m_r = m + xa, m + ya, hull.inertia + m * x_g * x_g + hull.added_r
@@ -206,8 +199,14 @@ def make_rhs(
         u_c, v_c = c * v_n + si * v_e, c * v_e - si * v_n
         u_w, v_w = u - u_c, v - v_c  # through the water
         vel_n, vel_e = c * u - si * v, si * u + c * v
-        external = (x_force, y_force, n_moment)
-        x, y, n = forces(s, (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r), energy, external)
+        f_l, f_r = (c1 * abs(n_l) + c2 * n_l) * n_l, (c1 * abs(n_r) + c2 * n_r) * n_r
+        for modify in thrust_hooks:
+            f_l, f_r = modify(n_l, n_r, u_w + ARM * r, u_w - ARM * r, f_l, f_r, energy)
+        x = x_force + (f_l + f_r - (d_u + d_uu * abs(u_w)) * u_w)
+        y = y_force - (d_v + d_vv * abs(v_w)) * v_w
+        n = n_moment + (ARM * (f_l - f_r) - (d_r + d_rr * abs(r)) * r)
+        if effect_forces is not None:
+            x, y, n = effect_forces(s, (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r), (x, y, n))
         if bob_mass:
             # The swinging payload is part of the boat's mass, but it moves freely fore and aft.
             x += bob_mass * (GRAVITY * sin(angle) * cos(angle) + bob_damping * bob_length * rate - v * r)
@@ -252,31 +251,33 @@ def rk4(
     forces : tuple of three floats
         External forces [N, N, N m], constant in the step.
     """
+    # Written out, since loops and calls take twice as long.
     mid_l, mid_r, end_l, end_r = n
-    k2 = rhs(_state_plus(s, k1, 0.5 * h), mid_l, mid_r, energy, *forces)
-    k3 = rhs(_state_plus(s, k2, 0.5 * h), mid_l, mid_r, energy, *forces)
-    k4 = rhs(_state_plus(s, k3, h), end_l, end_r, energy, *forces)
-    return _state_plus(s, _weighted_sum(k1, k2, k3, k4), h / 6.0)
-
-
-def _weighted_sum(a: State, b: State, c: State, d: State) -> State:
-    """Return ``a + 2 b + 2 c + d`` of four time derivatives of the state, as the Runge-Kutta method needs it."""
-    # Written out, since a loop takes three times as long.
-    return (
-        a[0] + 2.0 * (b[0] + c[0]) + d[0],
-        a[1] + 2.0 * (b[1] + c[1]) + d[1],
-        a[2] + 2.0 * (b[2] + c[2]) + d[2],
-        a[3] + 2.0 * (b[3] + c[3]) + d[3],
-        a[4] + 2.0 * (b[4] + c[4]) + d[4],
-        a[5] + 2.0 * (b[5] + c[5]) + d[5],
-        a[6] + 2.0 * (b[6] + c[6]) + d[6],
-        a[7] + 2.0 * (b[7] + c[7]) + d[7],
-    )
-
-
-def _state_plus(s: State, k: State, h: float) -> State:
-    """Return ``s + h k``: the state ``s`` after the time ``h`` [s] with the constant time derivative ``k``."""
-    # Written out, since a loop takes three times as long.
+    x_force, y_force, moment = forces
+    half, sixth = 0.5 * h, h / 6.0
     x, y, psi, u, v, r, angle, rate = s
-    a, b, c, d, e, f, g, i = k
-    return (x + h * a, y + h * b, psi + h * c, u + h * d, v + h * e, r + h * f, angle + h * g, rate + h * i)
+    a1, b1, c1, d1, e1, f1, g1, i1 = k1
+    between: State = (
+        x + half * a1, y + half * b1, psi + half * c1, u + half * d1,
+        v + half * e1, r + half * f1, angle + half * g1, rate + half * i1,
+    )  # fmt: skip
+    a2, b2, c2, d2, e2, f2, g2, i2 = rhs(between, mid_l, mid_r, energy, x_force, y_force, moment)
+    between = (
+        x + half * a2, y + half * b2, psi + half * c2, u + half * d2,
+        v + half * e2, r + half * f2, angle + half * g2, rate + half * i2,
+    )  # fmt: skip
+    a3, b3, c3, d3, e3, f3, g3, i3 = rhs(between, mid_l, mid_r, energy, x_force, y_force, moment)
+    end: State = (
+        x + h * a3, y + h * b3, psi + h * c3, u + h * d3, v + h * e3, r + h * f3, angle + h * g3, rate + h * i3
+    )  # fmt: skip
+    a4, b4, c4, d4, e4, f4, g4, i4 = rhs(end, end_l, end_r, energy, x_force, y_force, moment)
+    return (
+        x + sixth * (a1 + 2.0 * (a2 + a3) + a4),
+        y + sixth * (b1 + 2.0 * (b2 + b3) + b4),
+        psi + sixth * (c1 + 2.0 * (c2 + c3) + c4),
+        u + sixth * (d1 + 2.0 * (d2 + d3) + d4),
+        v + sixth * (e1 + 2.0 * (e2 + e3) + e4),
+        r + sixth * (f1 + 2.0 * (f2 + f3) + f4),
+        angle + sixth * (g1 + 2.0 * (g2 + g3) + g4),
+        rate + sixth * (i1 + 2.0 * (i2 + i3) + i4),
+    )

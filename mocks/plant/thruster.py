@@ -92,8 +92,9 @@ class Shaft:
         if pending and pending[0][0] < self._steps * self._dt:
             self._advance_with_new_references()
         else:
-            decay = self._decay_braking if self._slows_down() else self._decay
-            self.n = self._ref + (self.n - self._ref) * decay
+            # as in _slows_down, written out because a call takes longer than the rest
+            above = self.n - self._ref
+            self.n = self._ref + above * (self._decay_braking if above * self.n > 0.0 else self._decay)
         return self.n
 
     def _slows_down(self) -> bool:

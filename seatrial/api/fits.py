@@ -529,6 +529,10 @@ class FittedResult(FitReport):
         """
         raise NotImplementedError
 
+    def _save_model(self, folder: Path) -> Path:
+        """Write to a folder what a command reads of this model: all files of `save`, or those but the report."""
+        return self.save(folder)
+
     @cached_property
     def _evaluation(self) -> PredictionEvaluation:
         """Evaluation of the model over the horizon of its result."""
@@ -618,10 +622,18 @@ class FittedVehicle(MotionMethods, FittedResult):
         folder : path
             Folder for the files. Existing files of these names are replaced.
         """
+        return self._write(folder, report=True)
+
+    def _save_model(self, folder: Path) -> Path:
+        """Write model.toml and result.json to a folder."""
+        return self._write(folder, report=False)
+
+    def _write(self, folder: PathLike, report: bool) -> Path:
+        """Write model.toml, result.json and, if ``report``, report.html. Return the folder."""
         from seatrial.ident.workflows.vehicle import VehicleFit, write_vehicle_fit
 
         out = output_folder(folder)
-        write_vehicle_fit(VehicleFit(self.fitted, self.result), out)
+        write_vehicle_fit(VehicleFit(self.fitted, self.result), out, report)
         return out
 
 
@@ -653,6 +665,14 @@ class FittedDiagnosis(DiagnosisFindings, MotionMethods, FittedResult):
         folder : path
             Folder for the files, which is returned. Existing files of these names are replaced.
         """
+        return self._write(folder, report=True)
+
+    def _save_model(self, folder: Path) -> Path:
+        """Write model.toml and result.json to a folder."""
+        return self._write(folder, report=False)
+
+    def _write(self, folder: PathLike, report: bool) -> Path:
+        """Write model.toml, result.json and, if ``report``, report.html. Return the folder."""
         from msgspec import structs
 
         from seatrial.ident.results import with_model_of_design
@@ -665,7 +685,7 @@ class FittedDiagnosis(DiagnosisFindings, MotionMethods, FittedResult):
         elif result.no_experiment:  # so may the advice in place of an experiment
             reason = with_model_of_design(result.no_experiment, str(out / "model.toml"), "model.toml")
             result = structs.replace(result, no_experiment=reason)
-        write_diagnosed_model(DiagnosedModel(self.found, result, self.effects_file), out)
+        write_diagnosed_model(DiagnosedModel(self.found, result, self.effects_file), out, report)
         return out
 
 
@@ -872,7 +892,7 @@ def model_path(model: PathLike | FittedResult | Saved) -> Iterator[Path]:
             folder = stack.enter_context(TemporaryDirectory())
             if is_own_model(model.fitted.model.source):
                 atexit.register(stack.pop_all().close)
-            yield model.save(folder) / "model.toml"
+            yield model._save_model(Path(folder)) / "model.toml"
         return
     from seatrial.api.loading import RESULT, Saved
     from seatrial.ident.estimation import model_file

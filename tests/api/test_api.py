@@ -31,6 +31,7 @@ from scipy.io import loadmat
 import seatrial as st
 from seatrial import command_line
 from seatrial.api.calls import as_code, python_call
+from seatrial.api.fits import model_path
 from seatrial.api.messages import text_of, with_texts_in_python
 from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
@@ -654,6 +655,16 @@ def test_intervals_of_a_fit_and_a_diagnosis_are_saved_and_used_on_an_unseen_log(
         assert (model.widened_horizons, model.widened_simulation) == ((10.0,), True)
         (one,) = st.compare(tmp_path / name, logs[2]).result.models
         assert one.widened_horizons == (10.0,)
+
+
+def test_other_functions_get_a_fitted_model_without_its_report(
+    fit: st.FittedVehicle, found: st.FittedDiagnosis
+) -> None:
+    """A report takes a third of the time of writing, and no function reads it."""
+    for model in (fit, found):
+        with model_path(model) as path:
+            names = {file.name for file in path.parent.iterdir()}
+        assert names == {"model.toml", "result.json", "result.parquet"}
 
 
 def test_series_become_tables(fit: st.FittedVehicle) -> None:

@@ -377,3 +377,10 @@ def test_the_watchdog_has_real_time_priority_if_the_system_permits(tmp_path: Pat
     heartbeat.end()
     assert process.wait(5.0) == 0
     ours.close()
+
+
+def test_the_watchdog_starts_without_large_modules() -> None:
+    """Until it has started, a run waits for it."""
+    program = "import sys; from seatrial.daq.acquisition import watchdog; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert not {"numpy", "importlib.metadata"} & set(done.stdout.split())

@@ -20,6 +20,8 @@ from seatrial.ident.estimation.prior_knowledge import fix_parameters
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.results.answers import thruster_answer
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 MAP = """
 format = "seatrial-import 1"
 [time]

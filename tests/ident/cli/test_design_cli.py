@@ -41,6 +41,8 @@ from seatrial.ident.workflows.design import (
     warn_worse_than_baseline,
 )
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
 # For tests of what does not depend on the model: its designs take a tenth of the time of those of a boat.

@@ -13,6 +13,8 @@ from seatrial.ident.estimation.prior_knowledge import set_priors
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 SENSORS = ("attitude", "gyro", "body_velocity")
 
 

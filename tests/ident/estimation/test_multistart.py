@@ -13,6 +13,8 @@ from seatrial.ident.estimation.maximum_likelihood import Fit, fit
 from seatrial.ident.estimation.multistart import alternative_starts, best_of_starts
 from seatrial.ident.models.thruster import delay_step, delayed_channels, thruster_model
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 TAU, POLE = 0.3, 2.2
 
 

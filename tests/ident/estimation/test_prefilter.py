@@ -18,6 +18,8 @@ from seatrial.mocks.world import DeviceSpecs, EscSpec
 from tests.missions import channels_of
 from tests.recovery.cases import named_truth
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 QUIET = HiddenEffect("quiet", "sensors with a tenth of the noise", {}, noise=Noise(gain=0.1))
 SIDES = ((1, "left"), (2, "right"))
 

@@ -22,6 +22,8 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
 from tests.ident.toys import turning, values_of
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 HULL = ("m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr")
 
 

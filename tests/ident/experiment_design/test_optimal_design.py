@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Channel, build_record
@@ -38,6 +39,8 @@ from seatrial.ident.numerics.pattern_search import penalised_objective
 from seatrial.ident.studies.cases import repeat_design
 from seatrial.ident.workflows.design import beyond_validity
 from tests.ident.toys import follower, values_of
+
+pytestmark = pytest.mark.usefixtures("quick_compilation")
 
 
 def boat_task(seconds: float = 100.0, n_steps: int = 20, **how) -> DesignProblem:
@@ -377,6 +380,20 @@ def test_baseline_signals_have_their_bandwidth() -> None:
     assert np.abs(np.diff(fast)).mean() > 5 * np.abs(np.diff(slow)).mean()
 
 
+def test_the_filter_of_many_sequences_is_designed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    designed, design_filter = [], signal.butter
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        designed.append(arguments)
+        return design_filter(*arguments, **options)
+
+    monkeypatch.setattr(signal, "butter", counted)
+    t, rng = np.arange(0.0, 60.0, 0.2), np.random.default_rng(1)
+    first, second = (rgs(t, 0.0731, 1, 0.4, 1.0, rng) for _ in range(2))
+    assert len(designed) == 1
+    assert not np.array_equal(first, second)
+
+
 def small_design() -> Design:
     return design(boat_task(80.0, 16, rates={"position": 5.0, "ground_velocity": 5.0}), evaluations=600)
 
@@ -444,9 +461,9 @@ def test_baseline_signals_of_a_discrimination_are_the_best_by_its_own_criterion(
     by_information = baseline_signals(problem, n=3)
     found = baselines_apart(a, b, problem, by_information)
     assert list(found) == ["PRBS", "RGS"]
-    for kind, signal in found.items():
-        T = [min(separation(a, b, problem, signal.sequences[:, :, k])) for k in range(3)]
-        np.testing.assert_allclose(signal.values, T, rtol=1e-6)
+    for kind, baseline in found.items():
+        T = [min(separation(a, b, problem, baseline.sequences[:, :, k])) for k in range(3)]
+        np.testing.assert_allclose(baseline.values, T, rtol=1e-6)
         assert signal.value == pytest.approx(max(T))
         np.testing.assert_array_equal(signal.command, signal.sequences[:, :, int(np.argmax(T))])
         same = [np.array_equal(by_information[kind].command, signal.sequences[:, :, k]) for k in range(3)]

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import sys
+from typing import Any
 
 import numpy as np
 import pytest
 
 from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.export.rates import Rates
 from seatrial.ident.export.steady_motion import steady_motion
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import with_disturbances
@@ -38,6 +41,23 @@ def test_straight_speed_balances_thrust_and_drag_in_still_water(model: Model) ->
     assert np.isnan(sd).all()
     with pytest.raises(KeyError, match="no state 'r'; its states are u"):
         steady_motion(model, np.array([[0.5, 0.5]]), held=STRAIGHT).of("r")
+
+
+def test_the_search_ends_when_all_motions_are_reached(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit searches for four curves, which take a fifth of its time. A motion that is not reached takes all steps."""
+    calls, evaluate = [], Rates.__call__
+
+    def counted(rates: Rates, *arguments: Any) -> Any:
+        calls.append(rates)
+        return evaluate(rates, *arguments)
+
+    monkeypatch.setattr(Rates, "__call__", counted)
+    n = np.linspace(-1.0, 1.0, 9)
+    found = steady_motion(model, np.stack([n, 0.5 * n], axis=1))
+    assert 20 < len(calls) < 30
+    monkeypatch.setattr(sys.modules[steady_motion.__module__], "REACHED", -1.0)
+    np.testing.assert_allclose(steady_motion(model, np.stack([n, 0.5 * n], axis=1)).x, found.x, rtol=1e-12, atol=1e-14)
+    assert len(calls) > 100
 
 
 def test_turn_is_the_end_of_a_simulation(model: Model) -> None:

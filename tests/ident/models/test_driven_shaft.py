@@ -23,6 +23,8 @@ from seatrial.ident.models.dead_zone import transition_width
 from seatrial.ident.models.horizontal import DEAD_ZONE_EDGE, horizontal_model
 from tests.machine import cpu_seconds
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 Array = NDArray[np.float64]
 DT, ARM, C1 = 0.005, 0.2, 12.0  # Units: s, m, N
 TRUTH = {"m_u": 12.0, "m_v": 17.0, "m_r": 1.3, "d_u": 2.0, "d_uu": 8.0, "d_v": 10.0, "d_vv": 20.0, "d_r": 1.0}

@@ -24,6 +24,8 @@ from seatrial.ident.models.thruster import (
 from seatrial.ident.models.yaw import yaw_model
 from tests.ident.toys import best_start
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 A, C1, C2, BIAS = 2.794, 40.05, 1.11, 0.3
 DT = 1e-3  # Step [s] of the simulation. Delays and command times are multiples of it.
 

@@ -21,6 +21,8 @@ from seatrial.ident.models.scaling import VesselScale, dimension, rescale, resca
 from tests.ident.carriers import carrier
 from tests.missions import boat_with, channels_of, sail
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 FERRY = 50.0  # Factor of mass, inertia, damping and thrust.
 
 

@@ -44,6 +44,8 @@ from seatrial.ident.workflows.vehicle import VehicleFit
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
 from tests.missions import boat_log, boat_with
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 ROOT = Path(__file__).resolve().parents[3]
 THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")
 FIXED = {"c1": 40.05, "c2": 1.11}

@@ -24,6 +24,8 @@ from seatrial.mocks.world import Reading
 from tests import missions
 from tests.missions import push, rig_of, write_log
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 EVERY, WILD = 60, 60_000.0  # Number of load cell readings per outlier, and size of an outlier in counts.
 
 
@@ -118,7 +120,7 @@ def test_noise_is_restricted_by_default(log: Path) -> None:
 
 def test_a_window_of_a_bench_log_is_fitted_alone(tmp_path: Path) -> None:
     """Outside the window the load cell is wrong; the fit to the window does not see it."""
-    recording, mission = push(draw_bench(4), kind="steps")
+    recording, mission = push(draw_bench(4), kind="steps", count=2)
     end = recording.readings[-1].t
     begin, until = 0.05 * end, 0.9 * end
     wrong = [
@@ -135,6 +137,6 @@ def test_a_window_of_a_bench_log_is_fitted_alone(tmp_path: Path) -> None:
     assert window.result.logs[0].path == f"spoilt.mcap[{begin:g}:{until:g}]"
     assert window.result.steady is not None
     assert np.isfinite(window.result.steady.power).any()
-    words = ["thruster", str(good), "--from", f"{begin}", "--to", f"{until}", "--out", str(tmp_path / "out")]
+    words = ["thruster", str(spoilt_log), "--from", f"{begin}", "--to", f"{until}", "--out", str(tmp_path / "out")]
     CliRunner().invoke(ident, words, catch_exceptions=False)
     assert load_model(tmp_path / "out/model.toml").model.values["c1"] == pytest.approx(same.params["c1"], rel=1e-4)

@@ -34,6 +34,8 @@ from tests.ident.rolling import Fitted
 from tests.ident.rolling import sail as rolling_sail
 from tests.missions import boat_log, boat_with, channels_of, rig_of, sail
 
+pytestmark = pytest.mark.usefixtures("quick_compilation")
+
 AHRS = ("psi", "r", "ax", "ay")
 GNSS = ("x", "y", "vx", "vy")
 
