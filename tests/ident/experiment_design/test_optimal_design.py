@@ -464,9 +464,9 @@ def test_baseline_signals_of_a_discrimination_are_the_best_by_its_own_criterion(
     for kind, baseline in found.items():
         T = [min(separation(a, b, problem, baseline.sequences[:, :, k])) for k in range(3)]
         np.testing.assert_allclose(baseline.values, T, rtol=1e-6)
-        assert signal.value == pytest.approx(max(T))
-        np.testing.assert_array_equal(signal.command, signal.sequences[:, :, int(np.argmax(T))])
-        same = [np.array_equal(by_information[kind].command, signal.sequences[:, :, k]) for k in range(3)]
+        assert baseline.value == pytest.approx(max(T))
+        np.testing.assert_array_equal(baseline.command, baseline.sequences[:, :, int(np.argmax(T))])
+        same = [np.array_equal(by_information[kind].command, baseline.sequences[:, :, k]) for k in range(3)]
         assert any(same)  # the bandwidth and amplitude are those of the most informative sequence
 
 
