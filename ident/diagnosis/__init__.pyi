@@ -10,6 +10,7 @@ from .findings import CommonErrorsFit as CommonErrorsFit
 from .findings import Diagnosis as Diagnosis
 from .findings import EffectAttribution as EffectAttribution
 from .findings import ModelUncertainty as ModelUncertainty
+from .findings import Outcome as Outcome
 from .findings import Refit as Refit
 from .findings import RemovedEffect as RemovedEffect
 from .findings import Round as Round

@@ -16,6 +16,7 @@ from seatrial.ident.diagnosis import (
     NAME_RECORDS,
     Diagnosis,
     DiagnosisEvaluation,
+    Outcome,
     Refit,
     Round,
     ValidationMismatch,
@@ -77,6 +78,8 @@ from seatrial.ident.results.tables import (
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
+CLEAR_CRITERION = 10.0  # of a refit, from which its data clearly support it (Kass and Raftery 1995)
+MOST_NEAREST = 2  # effects that are named if none was added
 MOST_REMAINING = 4  # candidates that still pass the score test and are given by name
 AFTER_CURVE = "after a curve, no second curve is tried"
 NOT_TRIED = "beside the effects that were found too little is left to explain, and a larger --max-effects tries no more"
@@ -386,9 +389,38 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
     return (
         f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
-        f"(p = {strongest.p:.1g}), but no candidate explains the residuals: {why}. A score test can find what "
-        "the tests of whiteness and of the correlations with the inputs miss. Look at the residuals in the report, or "
-        "record longer runs."
+        f"(p = {strongest.p:.1g}), but no candidate explains the residuals: {why}. {_nearest_effects(last)}A score "
+        "test can find what the tests of whiteness and of the correlations with the inputs miss. Look at the residuals "
+        "in the report, or record longer runs."
+    )
+
+
+def _nearest_effects(search_round: Round) -> str:
+    """Return a sentence on the effects of the catalogue that come nearest in a round without an added effect.
+
+    The estimation data clearly support them (a criterion above `CLEAR_CRITERION`), and the validation data neither
+    support nor contradict them. At most `MOST_NEAREST` are given, with their sizes in the rough fits and the t
+    statistics of their validation. The text ends with a space; it is empty if there is no such effect.
+    """
+    near = [
+        r
+        for r in search_round.refits
+        if not r.nonparametric
+        and r.outcome is Outcome.NOT_VALIDATED
+        and r.validation_gain > 0
+        and r.criterion > CLEAR_CRITERION
+    ][:MOST_NEAREST]
+    if not near:
+        return ""
+    sizes = [", ".join(filter(None, (in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
+    each = [f"{r.effect.title} ({size})" for r, size in zip(near, sizes, strict=True)]
+    options = " ".join(f"--effect {r.effect.name}" for r in near)
+    return (
+        f"The effects that come nearest are {_joined_titles(each)}: the estimation data support them, and the "
+        f"validation data are too few to decide. `seatrial ident vehicle {options}` estimates them with the model. "
+        if len(near) > 1
+        else f"The effect that comes nearest is {each[0]}: the estimation data support it, and the validation data are "
+        f"too few to decide. `seatrial ident vehicle {options}` estimates it with the model. "
     )
 
 

@@ -280,6 +280,11 @@ def excluded_effects(names: Sequence[str], candidates: Mapping[str, Effect], mod
                 f"--exclude {name}: the model to diagnose contains this effect, and a diagnosis removes none; fit a "
                 "model without it, and diagnose that"
             )
+        if "(" in name:
+            raise SeatrialError(
+                f"--exclude {name}: this is a curve that is fitted without a formula, and curves cannot be left out; "
+                "only effects of the catalogue can"
+            )
         if name not in candidates:
             near = closest_name(str(name), candidates)
             hint = f"did you mean {near!r}?" if near else f"the effects are {', '.join(candidates)}"

@@ -233,7 +233,7 @@ def considered_notes(model: Model) -> list[str]:
     ]
     return [
         f"The standard errors include sensor errors that no log determines: {', '.join(words)}. "
-        f"`ident vehicle --prior {held[0].name}={held[0].value:g}:SD` sets your own value."
+        f"--prior {held[0].name}={held[0].value:g}:SD of a fit sets your own value."
     ]
 
 

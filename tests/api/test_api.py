@@ -1296,12 +1296,16 @@ def test_a_model_is_fitted_again_without_one_effect(
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("mismach", "did you mean 'mismatch'"), ("qqqqqqqq", "the effects are accelerometer-scale, ")],
+    [
+        ("mismach", "there is no effect of this name; did you mean 'mismatch'"),
+        ("qqqqqqqq", "there is no effect of this name; the effects are accelerometer-scale, "),
+        ("psi(n_diff)", "this is a curve that is fitted without a formula, and curves cannot be left out"),
+    ],
 )
 def test_an_unknown_excluded_effect_is_refused(
     name: str, message: str, logs: list[Path], fit: st.FittedVehicle
 ) -> None:
-    with pytest.raises(SeatrialError, match=f"^exclude {name}: there is no effect of this name; {message}"):
+    with pytest.raises(SeatrialError, match=f"^exclude {re.escape(name)}: {message}"):
         st.diagnose(fit, logs[0], exclude=name)
 
 

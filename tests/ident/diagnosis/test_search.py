@@ -345,6 +345,31 @@ def test_unexplained_residuals_name_the_score_test_that_contradicts_the_model() 
     assert "most clearly that of steady wind (p = 9e-09)" in diagnosis_answer(of_titles, None, 10.0)
 
 
+def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
+    """The estimation data support them, and the validation data cannot decide."""
+    scores = (Score("wind", 133.0, 1, 46.0, {}, {}, threshold=22.0),)
+    undecided = Outcome.NOT_VALIDATED
+    refits = (
+        replace(refit("a curve", 400.0), outcome=Outcome.NO_BETTER_PREDICTION),
+        replace(refit("wind", 30.0, gain=4.7, t=0.88), outcome=undecided),
+        replace(refit("battery", 22.0, gain=4.3, t=1.72), outcome=undecided),
+        replace(refit("contradicted", 20.0, gain=-1.0, t=-0.5), outcome=undecided),
+        replace(refit("weak", 9.0, gain=1.0, t=0.5), outcome=undecided),
+    )
+    found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, ("wind",), refits, None),), (), ())
+    assert (
+        "The effects that come nearest are wind (t = 0.9) and battery (t = 1.7): the estimation data support them, and "
+        "the validation data are too few to decide. `seatrial ident vehicle --effect wind --effect battery` estimates "
+        "them with the model. A score test can find" in diagnosis_answer(found, None, 10.0)
+    )
+    one = replace(found, rounds=(replace(found.rounds[0], refits=refits[2:]),))
+    assert "The effect that comes nearest is battery (t = 1.7): the estimation data support it" in diagnosis_answer(
+        one, None, 10.0
+    )
+    none = replace(found, rounds=(replace(found.rounds[0], refits=refits[3:]),))
+    assert "nearest" not in diagnosis_answer(none, None, 10.0)
+
+
 def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     chosen, after = refit("hump", 900.0), blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
     left = (Score("wind", 90.0, 1, 50.0, {}, {}, threshold=12.0),)
