@@ -58,6 +58,7 @@ from seatrial.daq.importers.run_files import (
     find_runs,
     is_run_folder,
     match_pattern,
+    name_of_folder,
     require_sources,
     tables_of_folder,
 )
@@ -392,7 +393,7 @@ def _head_lines(sources: _Sources, unused: Sequence[Path]) -> list[str]:
     to_import, of_all = (args, " with all of them") if more > 0 else (_words_of_paths(usable), "")
     if more > 0 and len(usable) < len(sources.paths):
         of_all += f" except {first_names([path.name for path in unused], MOST_NAMED)}"
-    stems = ", ".join(path.name if path.is_dir() else path.stem for path in sources.paths[:MOST_NAMED])
+    stems = ", ".join(name_of_folder(path) if path.is_dir() else path.stem for path in sources.paths[:MOST_NAMED])
     return [
         f"# From `seatrial import --guess {args}`{of_files}. Check each caveat, then run `seatrial import MAP "
         f"{to_import}`{of_all}.",

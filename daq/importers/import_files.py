@@ -16,7 +16,13 @@ from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.importers.boat_tables import BoatTable
 from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
-from seatrial.daq.importers.run_files import files_of_folder, is_run_folder, require_sources, tables_of_folder
+from seatrial.daq.importers.run_files import (
+    files_of_folder,
+    is_run_folder,
+    name_of_folder,
+    require_sources,
+    tables_of_folder,
+)
 from seatrial.daq.importers.signals import TURNED, Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from seatrial.daq.importers.sources import source_kind
 from seatrial.daq.importers.table import Table
@@ -201,12 +207,14 @@ def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[s
             if not inner:
                 raise SeatrialError(f"{path}: has no file that import reads; give the folder of a run, or a file")
             is_alone = inner != [path] and len(inner) == 1
-            found += [(path.name if is_alone else file.stem, [(file, import_map.sources[0])]) for file in inner]
+            found += [
+                (name_of_folder(path) if is_alone else file.stem, [(file, import_map.sources[0])]) for file in inner
+            ]
         return found
     loose = [path for path in files if not is_run_folder(path)]
     for path in files:
         if is_run_folder(path):
-            found.append((path.name, _files_of_run(import_map, files_of_folder(path), path)))
+            found.append((name_of_folder(path), _files_of_run(import_map, files_of_folder(path), path)))
         elif path == loose[0]:
             found.append((import_map.path.stem, _files_of_run(import_map, loose, None)))
     return found

@@ -79,16 +79,19 @@ class Runs(NamedTuple):
 
 
 def is_run_folder(path: Path) -> bool:
-    """Return whether a path is a folder with files, none of which is a part of a bag of ROS."""
-    return path.is_dir() and bool(files_of_folder(path)) and not _is_bag_folder(path)
+    """Return whether a path is a folder with files of a run, and no bag of ROS. A log among them is no bag."""
+    if not path.is_dir() or (path / "metadata.yaml").exists() or any(file.suffix == ".db3" for file in path.iterdir()):
+        return False
+    files = files_of_folder(path)
+    return any(map(_is_source, files)) if _has_bag_files(path) else bool(files)
 
 
 def files_of_folder(path: Path) -> list[Path]:
-    """Return the files in a folder by name, without hidden files and import maps. Folders in it are left out."""
+    """Return the files in a folder by name, without hidden files, import maps and logs, and without folders."""
     return sorted(
         file
         for file in path.iterdir()
-        if file.is_file() and not file.name.startswith(".") and file.suffix.lower() != ".toml"
+        if file.is_file() and not file.name.startswith(".") and file.suffix.lower() not in (".toml", *BAG_ENDINGS)
     )
 
 
@@ -108,7 +111,7 @@ def _is_source(file: Path) -> bool:
 def require_sources(paths: Sequence[Path]) -> None:
     """Raise SeatrialError if a path is a folder without a file, but with folders that may be those of runs."""
     for path in paths:
-        if path.is_dir() and not _is_bag_folder(path) and not files_of_folder(path):
+        if path.is_dir() and not _has_bag_files(path) and not files_of_folder(path):
             inner = sorted(folder for folder in path.iterdir() if folder.is_dir())
             if any(files_of_folder(folder) for folder in inner):
                 raise SeatrialError(
@@ -117,9 +120,14 @@ def require_sources(paths: Sequence[Path]) -> None:
                 )
 
 
-def _is_bag_folder(path: Path) -> bool:
-    """Return whether a folder has the description or a part of a bag of ROS, or of a log."""
-    return (path / "metadata.yaml").exists() or any(file.suffix in BAG_ENDINGS for file in path.iterdir())
+def _has_bag_files(path: Path) -> bool:
+    """Return whether a folder has a file that may be a part of a bag of ROS, or a log."""
+    return any(file.suffix in BAG_ENDINGS for file in path.iterdir())
+
+
+def name_of_folder(path: Path) -> str:
+    """Return the name of a folder, also of the current folder."""
+    return path.resolve().name
 
 
 def find_runs(paths: Sequence[Path], outline: Callable[[Path], FileOutline]) -> Runs:
@@ -225,7 +233,7 @@ def _runs_of_group(
         used.update(other.path for other in members.values())
         in_order = sorted(members.items(), key=lambda member: files.index(member[1]))
         paths = tuple(other.path for _, other in in_order)
-        name = _name_of(paths) if folder is None or len(by_kind[lead]) > 1 else folder.name
+        name = _name_of(paths) if folder is None or len(by_kind[lead]) > 1 else name_of_folder(folder)
         run = RunFiles(name, paths, tuple(kind for kind, _ in in_order), folder or paths[0])
         together += [run] * (len(paths) > 1)
         yield run

@@ -15,7 +15,8 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.guess import guess_maps
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.run_files import match_pattern
-from seatrial.daq.log import open_log
+from seatrial.daq.log import open_log, require_logs
+from seatrial.daq.log.run_tables import run_folder_of
 from seatrial.daq.samples import Scalar
 from tests.daq.csv_files import values
 from tests.page_runner import run_commands
@@ -152,6 +153,34 @@ def test_files_of_different_columns_and_times_are_no_run(tmp_path: Path) -> None
     (map_path := tmp_path / "map.toml").write_text(guess.text)
     (log,) = import_files(map_path, [mixed], out_dir=tmp_path)
     assert open_log(log).sources(Scalar) == ["n_left", "n_right"]
+
+
+def test_the_current_folder_and_a_log_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log that an import has written into the folder of its run is no bag of ROS."""
+    monkeypatch.chdir(run_of_files(tmp_path / "run1"))
+    (guess,) = guess_maps([Path()])
+    assert tomllib.loads(guess.text)["name"] == "run1"
+    Path("map.toml").write_text(guess.text)
+    for _ in range(2):
+        assert import_files(Path("map.toml"), [Path()], force=True) == [Path("run1.mcap")]
+    assert guess_maps([Path()])[0].text == guess.text
+
+
+def test_a_table_that_is_no_log_names_the_folder_of_its_run(tmp_path: Path) -> None:
+    folder = run_of_files(tmp_path / "run1")
+    advice = f"`seatrial import --guess {folder} -o map.toml`, then `seatrial import map.toml {folder}`"
+    with pytest.raises(SeatrialError) as caught:
+        require_logs([folder / "gnss.csv", folder / "esc.csv"])
+    assert str(caught.value).endswith(f"{advice}; {folder}: has further tables of the same time")
+    later = run_of_files(tmp_path / "run2", START + 1e4)
+    (mixed := tmp_path / "mixed").mkdir()
+    (mixed / "esc.csv").write_bytes((folder / "esc.csv").read_bytes())
+    (mixed / "gnss.csv").write_bytes((later / "gnss.csv").read_bytes())
+    with pytest.raises(SeatrialError, match=r"then `seatrial import map\.toml [^ ]*mixed/gnss\.csv`$"):
+        require_logs([mixed / "gnss.csv"])
+    for text in ("x,y\n", "", "2026-06-01T09:00:00Z;1\n" * 3):
+        (mixed / "gnss.csv").write_text(text)
+        assert run_folder_of(mixed / "gnss.csv") is None
 
 
 @pytest.mark.parametrize("start", [0.0, START])
