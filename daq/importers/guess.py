@@ -393,6 +393,9 @@ def _head_lines(sources: _Sources, unused: Sequence[Path]) -> list[str]:
     to_import, of_all = (args, " with all of them") if more > 0 else (_words_of_paths(usable), "")
     if more > 0 and len(usable) < len(sources.paths):
         of_all += f" except {first_names([path.name for path in unused], MOST_NAMED)}"
+    origins = [run.source if run.source.is_dir() else None for run in sources.runs if len(run.paths) > 1]
+    if len(set(origins)) < len(origins):  # several runs of several files in one place: the import needs a folder each
+        to_import, of_all = "FOLDER...", " with a folder of each run"
     stems = ", ".join(name_of_folder(path) if path.is_dir() else path.stem for path in sources.paths[:MOST_NAMED])
     return [
         f"# From `seatrial import --guess {args}`{of_files}. Check each caveat, then run `seatrial import MAP "

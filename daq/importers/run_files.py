@@ -13,7 +13,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
-from seatrial.daq.errors import SeatrialError, counted, first_names
+from seatrial.daq.errors import SeatrialError, first_names
 from seatrial.daq.importers.ros import BAG_ENDINGS
 from seatrial.daq.importers.sources import source_kind, text_head
 from seatrial.daq.importers.text_table import sniff_style
@@ -21,6 +21,7 @@ from seatrial.daq.importers.text_table import sniff_style
 ALIKE = 0.5  # share of common columns (of those in either file) from which two files are of one kind
 LEAST_OVERLAP = 0.5  # of the shorter of two files, in time, from which they may belong to one run
 MOST_NAMED = 4  # files in a line for the user
+_SEPARATORS = " _-."  # between the parts of a name
 _NUMBERS = re.compile(r"[\d*]+(?:[-_. T]*[\d*]+)*")  # numbers, dates and times in a name
 
 
@@ -215,10 +216,11 @@ def _runs_of_group(
     used: set[Path] = set()
     first: list[FileOutline] = []  # files that began a run
     together: list[RunFiles] = []  # runs of several files
+    doubtful: dict[str, list[str]] = {}  # pairs of files by the reason for which they are of one run
     for k, file in enumerate(by_kind[lead]):
         members = {lead: file}
         for kind, others in by_kind.items():
-            if kind != lead and (other := _file_of_run(file, others, k, len(by_kind[lead]), assumed)):
+            if kind != lead and (other := _file_of_run(file, others, k, len(by_kind[lead]), doubtful)):
                 members[kind] = other
         again = [other for kind, other in members.items() if kind != lead and other.path in used]
         twin = next((before for before in first if again and _overlap(before, file) >= LEAST_OVERLAP), None)
@@ -233,7 +235,8 @@ def _runs_of_group(
         used.update(other.path for other in members.values())
         in_order = sorted(members.items(), key=lambda member: files.index(member[1]))
         paths = tuple(other.path for _, other in in_order)
-        name = _name_of(paths) if folder is None or len(by_kind[lead]) > 1 else name_of_folder(folder)
+        is_alone = folder is not None and len(by_kind[lead]) == 1
+        name = ("" if is_alone else _name_of(paths)) or name_of_folder(folder or paths[0].parent)
         run = RunFiles(name, paths, tuple(kind for kind, _ in in_order), folder or paths[0])
         together += [run] * (len(paths) > 1)
         yield run
@@ -246,6 +249,10 @@ def _runs_of_group(
             f"{other.path}: left out, as its times {why}; guess its map alone, or give the origin of its times in a "
             "map by hand"
         )
+    assumed += [
+        f"{first_names(pairs, MOST_NAMED)}: assumed to be of one run by {reason}, as further files overlap too"
+        for reason, pairs in doubtful.items()
+    ]
     if len(together) > 1:
         parents = list(dict.fromkeys(path.parent for run in together for path in run.paths))
         advice = "move each run to a folder of its own, and import the folders"
@@ -256,12 +263,13 @@ def _runs_of_group(
 
 
 def _file_of_run(
-    file: FileOutline, others: Sequence[FileOutline], k: int, n_runs: int, assumed: list[str]
+    file: FileOutline, others: Sequence[FileOutline], k: int, n_runs: int, doubtful: dict[str, list[str]]
 ) -> FileOutline | None:
     """Return the file of another kind (`others`) that is of the same run as a file; None if there is none.
 
     If several overlap with it, as with times that count from the start of each file, the k-th of as many files as runs
-    (`n_runs`) is taken, or else the one with the longest overlap, and a line is appended to `assumed`.
+    (`n_runs`) is taken, or else the one with the longest overlap. Both files are then appended to `doubtful`, by the
+    reason.
     """
     overlaps = [_overlap(file, other) for other in others]
     good = [i for i, overlap in enumerate(overlaps) if overlap >= LEAST_OVERLAP]
@@ -269,12 +277,10 @@ def _file_of_run(
         return None
     if len(good) == 1:
         return others[good[0]]
-    best = k if len(others) == n_runs and k in good else max(good, key=lambda i: _common_time(file, others[i]))
-    assumed.append(
-        f"{file.path}: assumed to be of one run with {others[best].path.name}, by "
-        f"{'their order' if best == k and len(others) == n_runs else 'the longest common time'}, as its times also "
-        f"overlap with those of {counted(len(good) - 1, 'more file')} of this kind"
-    )
+    by_order = len(others) == n_runs and k in good
+    best = k if by_order else max(good, key=lambda i: _common_time(file, others[i]))
+    reason = "their order" if by_order else "the longest common time"
+    doubtful.setdefault(reason, []).append(f"{file.path.name} with {others[best].path.name}")
     return others[best]
 
 
@@ -293,10 +299,14 @@ def _overlap(one: FileOutline, other: FileOutline) -> float:
 
 
 def _name_of(paths: Sequence[Path]) -> str:
-    """Return the name of a run of files without a folder of their own: the common begin of their names, or `run`."""
+    """Return the name of a run of files without a folder of their own: the begin of all names, before a separator.
+
+    The name of a single file is its own. It is empty if the names have no such begin, as those of sensors.
+    """
     if len(paths) == 1:
         return paths[0].stem
-    return _common_begin([path.stem for path in paths]).rstrip(" _-.") or "run"
+    begin = _common_begin([path.stem for path in paths])
+    return begin.rstrip(_SEPARATORS) if begin.endswith(tuple(_SEPARATORS)) else ""
 
 
 def match_pattern(own: Sequence[Path], others: Sequence[Path]) -> str:

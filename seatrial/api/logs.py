@@ -370,7 +370,8 @@ def import_log(
             source = guess.run.source
             guessed = Path(scratch) / f"{guess.run.name}.toml"
             guessed.write_text(guess.text, encoding="utf-8")
-            read = [source] if source.is_dir() else guess.run.paths
+            is_alone = sum(other.run.source == source for other in guesses) == 1
+            read = [source] if source.is_dir() and is_alone else guess.run.paths
             try:
                 made += import_files(guessed, read, out_dir=folder, force=force, geometry=geometry, scale=scale)
             except SeatrialError as problem:
@@ -414,16 +415,17 @@ def _warn_of_guesses(guesses: Sequence[Guess], given: str) -> None:
     ``given`` is the text about the numbers that the user gave, which are no guess. Files are alike if their caveats, or
     their columns, differ in numbers and in the name of the file at most. The text is then that of the first of them.
     """
-    guessed, left_out = dict[Any, list[tuple[Path, str]]](), dict[Any, list[tuple[Path, str]]]()
+    guessed, left_out = dict[Any, list[tuple[list[Path], str]]](), dict[Any, list[tuple[list[Path], str]]]()
     for guess in guesses:
         source = guess.run.source
+        sources = [source] if source.is_dir() else list(guess.run.paths)
         found = re.findall(r"# caveat: (.+)", guess.text)
         found += [f"not measured: {text}" for text in re.findall(r"# not measured: (.+)", guess.text)]
         caveats = "; ".join(dict.fromkeys(found))
         columns = first_names(guess.unrecognised, 10) if guess.unrecognised else ""
         for text, groups in ((caveats, guessed), (columns, left_out)):
             if text:
-                groups.setdefault(re.sub(r"\d+", "", text.replace(source.stem, "")), []).append((source, text))
+                groups.setdefault(re.sub(r"\d+", "", text.replace(source.stem, "")), []).append((sources, text))
     for alike in guessed.values():
         paths, names = _of_group(alike)
         one = len({text for _, text in alike}) == 1
@@ -440,9 +442,9 @@ def _warn_of_guesses(guesses: Sequence[Guess], given: str) -> None:
         )
 
 
-def _of_group(alike: Sequence[tuple[Path, str]]) -> tuple[list[Path], str]:
-    """Return the paths of files that are alike, and their names for a message."""
-    paths = [source for source, _ in alike]
+def _of_group(alike: Sequence[tuple[Sequence[Path], str]]) -> tuple[list[Path], str]:
+    """Return the paths of runs that are alike, and their names for a message."""
+    paths = [source for sources, _ in alike for source in sources]
     return paths, first_names([source.name for source in paths], 5)
 
 

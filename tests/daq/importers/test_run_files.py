@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -108,6 +109,12 @@ def test_the_python_interface_takes_folders(tmp_path: Path) -> None:
     with pytest.warns(SeatrialWarning, match="run1, run2: without an import map, this was inferred"):
         logs += st.import_log(folders, out_dir=tmp_path / "guessed")
     assert [log.name for log in logs] == 2 * ["run1.mcap", "run2.mcap"]
+    files = sorted(folders[0].iterdir())
+    with pytest.warns(
+        SeatrialWarning, match=r"^ahrs\.csv, esc\.csv, gnss\.csv: without .*'[^ ]*esc\.csv', '[^ ]*gnss\.csv'\]"
+    ):
+        logs += st.import_log(files, out_dir=tmp_path / "of_files")
+    assert logs[-1].name == "run1.mcap"
     for log in logs:
         assert_has_all_signals(log)
 
@@ -130,6 +137,9 @@ def test_files_of_equal_columns_are_runs_of_their_own(tmp_path: Path) -> None:
         assert "file" not in tomllib.loads(guesses[0].text)
         (map_path := tmp_path / "map.toml").write_text(guesses[0].text)
         logs = import_files(map_path, sources, out_dir=tmp_path / "logs", force=True)
+        assert [log.name for log in logs] == ["a.mcap", "b.mcap"]
+        with pytest.warns(SeatrialWarning, match="without an import map"):
+            logs = st.import_log(sources, out_dir=tmp_path / "guessed", force=True)
         assert [log.name for log in logs] == ["a.mcap", "b.mcap"]
     alone = table(tmp_path / "run7" / "log.csv", 0.1 * np.arange(N), columns).parent
     assert [log.name for log in import_files(map_path, [alone], out_dir=tmp_path)] == ["run7.mcap"]
@@ -194,7 +204,17 @@ def test_several_runs_in_one_folder(tmp_path: Path, start: float) -> None:
     ]
     assert list(signals_of(guesses[0].text)) == ["run*_ahrs.csv", "run*_esc.csv", "run*_gnss.csv"]
     assert f"the files in {tmp_path / 'all'} are 2 runs of several files; move each run" in guesses[0].assumed[-1]
-    assert any("by their order" in line for line in guesses[0].assumed) == (not start)
+    by_order = (
+        "run1_ahrs.csv with run1_esc.csv, .*, run2_ahrs.csv with run2_gnss.csv: assumed to be of one run by their"
+    )
+    assert "then run `seatrial import MAP FOLDER...` with a folder of each run.\n" in guesses[0].text
+    assert [bool(re.match(by_order, line)) for line in guesses[0].assumed] == ([False] if start else [True, False])
+    with pytest.warns(SeatrialWarning) as warned:
+        logs = st.import_log(tmp_path / "all", out_dir=tmp_path / "logs")
+    assert [str(warning.message) for warning in warned][: len(guesses[0].assumed)] == guesses[0].assumed
+    assert [log.name for log in logs] == ["run1.mcap", "run2.mcap"]
+    for log in logs:
+        assert_has_all_signals(log)
 
 
 def test_a_second_sensor_of_equal_columns_is_left_out(tmp_path: Path) -> None:
