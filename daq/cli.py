@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
 
 _EXISTING = ExistingPath(dir_okay=False)
-_SOURCE = ExistingPath()  # a file, or the folder of a ROS 2 bag
+_SOURCE = ExistingPath()  # a file, or the folder of a ROS 2 bag or of the files of a run
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
 ROUTER_S = 1.0  # wall seconds to wait for the router of ROS 2
@@ -295,16 +295,19 @@ def import_map(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Turn SOURCEs (files, or folders of ROS 2 bags) into logs by a MAP from columns and topics to signals.
+    """Turn SOURCEs (files, folders of ROS 2 bags, or folders of the files of a run) into logs by a MAP to signals.
 
     The first argument is the MAP, which the page "Import of foreign logs" of the documentation describes. With --guess
-    there is no MAP: a guessed map of the first SOURCE is written, with one scale of the thrusters for all. A file that
-    exists is replaced only with --force.
+    there is no MAP: a guessed map of the first SOURCE is written, with one scale of the thrusters for all. Of a folder,
+    or of files of different columns at the same time, the map has a [[file]] for each kind of file. A file that exists
+    is replaced only with --force.
 
     \b
     Example:
       seatrial import map boat.toml runs/*.csv --out-dir logs
       seatrial import --guess run2.ulg -o px4.toml
+      seatrial import --guess data/run1 data/run2 -o map.toml
+      seatrial import map.toml data/run1 data/run2 --out-dir logs
       seatrial import --guess candump.log --dbc boat.dbc -o can.toml
     """
     if guess:
@@ -336,20 +339,22 @@ def _write_guessed_map(
     """Write the guessed import map of source files to the file `out`, or to the screen if `out` is None.
 
     An import map selects columns or topics of the source and names their signals. `dbc` is the file that describes the
-    frames of a CAN log. An existing file is replaced if `force` is true; otherwise it is an error. Of several sources,
-    the map is that of the first, and a scale that is guessed from numbers is that of all. If the first source does not
-    suffice for a fit, a warning is printed. `as_json` is the flag `--json`.
+    frames of a CAN log. An existing file is replaced if `force` is true; otherwise it is an error. Of several runs, the
+    map is that of the first, and a scale that is guessed from numbers is that of all. If the first run does not suffice
+    for a fit, a warning is printed, and so is each assumption on the runs. `as_json` is the flag `--json`.
     """
     from seatrial.daq.files import write_output
     from seatrial.daq.importers.guess import guess_maps
     from seatrial.daq.importers.write_log import replacing
 
     if not sources:
-        raise click.UsageError("--guess takes one source file, or several that share a map")
+        raise click.UsageError("--guess takes one source file or folder, or several that share a map")
     found = guess_maps(sources, dbc, None if out is None else out.parent)[0]
     if out is not None:
-        with replacing(out, force, sources) as part:
+        with replacing(out, force, [*sources, *found.run.paths]) as part:
             write_output(part, found.text)
+    for line in found.assumed:
+        click.echo(printable(f"warning: {line}"), err=True)
     if as_json:
         content = {"source": sources[0], "map": out, "text": found.text, "problem": found.problem}
         print_json({"format": "seatrial-import-guess 1", **content})

@@ -51,6 +51,17 @@ from seatrial.daq.importers.recognise import (
     unmeasured_parts,
     without_unit,
 )
+from seatrial.daq.importers.run_files import (
+    FileOutline,
+    RunFiles,
+    files_of_folder,
+    find_runs,
+    is_run_folder,
+    match_pattern,
+    name_of_folder,
+    require_sources,
+    tables_of_folder,
+)
 from seatrial.daq.importers.sources import source_kind, text_head
 from seatrial.daq.importers.table import Column, SourceOptions, Table
 from seatrial.daq.importers.text_table import has_decimal_commas, sniff_style
@@ -84,7 +95,7 @@ BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
 
 
 class Guess(NamedTuple):
-    """Import map that was guessed from a source file.
+    """Import map that was guessed from the source files of a run.
 
     Attributes
     ----------
@@ -97,12 +108,75 @@ class Guess(NamedTuple):
         follows from a given number.
     unrecognised : sequence of str
         Columns of numbers that were not recognised.
+    run : RunFiles
+        The source files.
+    assumed : sequence of str
+        A line on each assumption about which files belong together, the same for all maps of one call.
     """
 
     text: str  # of the map
     problem: str  # why no fit is possible with the map; "" if a fit should be possible
-    full: Mapping[str, float] = {}  # number that becomes 1, by signal
-    unrecognised: Sequence[str] = ()  # columns
+    full: Mapping[str, float]  # number that becomes 1, by signal
+    unrecognised: Sequence[str]  # columns
+    run: RunFiles
+    assumed: Sequence[str]  # lines for the user
+
+
+class _Sources(NamedTuple):
+    """Sources of a guess, with what is the same for the maps of all runs.
+
+    Attributes
+    ----------
+    paths : sequence of Path
+        Files and folders that the user gave.
+    runs : sequence of RunFiles
+        Runs that they have.
+    dbc : Path or None
+        Database of the messages of a CAN log.
+    folder : Path or None
+        Folder in which the map will be stored; None for the current folder.
+    known : dict of str to float
+        Number of the source that becomes 1, by signal, where the user knows it.
+    assumed : sequence of str
+        Lines on assumptions about the runs.
+    """
+
+    paths: Sequence[Path]  # as given
+    runs: Sequence[RunFiles]
+    dbc: Path | None
+    folder: Path | None  # in which the map will be stored
+    known: Mapping[str, float]  # number that becomes 1, by signal
+    assumed: Sequence[str]  # lines for the user
+
+    @property
+    def is_merged(self) -> bool:
+        """Whether the map needs [[file]] tables: a run has several files, or its folder has files of no run."""
+        used = {path for run in self.runs for path in run.paths}
+        folders = {run.source for run in self.runs if run.source.is_dir() and run.source not in run.paths}
+        return any(len(run.paths) > 1 for run in self.runs) or any(
+            not used.issuperset(tables_of_folder(folder)) for folder in folders
+        )
+
+
+class _ReadFile(NamedTuple):
+    """Source file of a run, as it is read for a guess.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    kind : str
+        Name of the kind of source, for example "csv" or "ros".
+    options : SourceOptions
+        Options of the reader, which the map needs too.
+    tables : list of Table
+        Tables of the file.
+    """
+
+    path: Path
+    kind: str  # name of the kind of source
+    options: SourceOptions
+    tables: list[Table]
 
 
 def guess_maps(
@@ -111,14 +185,47 @@ def guess_maps(
     folder: Path | None = None,
     known: Mapping[str, float] | None = None,
 ) -> list[Guess]:
-    """Guess the import map of each of several source files; a scale that is guessed from numbers is the same in all.
+    """Guess the import map of each run of source files; a scale that is guessed from numbers is the same in all.
 
-    It is that of the largest number of all files, so that equal speeds stay equal. The arguments are those of
-    `guess_map`, and so are the errors. ``known`` has the number of the source that becomes 1, by signal, where the user
-    knows it. A name that no source has as such a signal is an error (UnknownName).
+    It is that of the largest number of all files, so that equal speeds stay equal. A file is a run, and so is a folder
+    that is no bag of ROS. Files of different columns whose times overlap are one run (`find_runs`).
+
+    Parameters
+    ----------
+    paths
+        Source files, folders of ROS bags, and folders with the files of a run.
+    dbc
+        Database of the messages of a CAN log.
+    folder
+        Folder in which the map will be stored, by default the current folder. The map names the DBC relative to it.
+    known
+        Number of the source that becomes 1, by signal, where the user knows it.
+
+    Returns
+    -------
+    list of Guess
+        The maps, in the order of the runs. The first is the map that the runs share, if their files are alike.
+
+    Raises
+    ------
+    SeatrialError
+        As of `guess_map`, or if no file of a folder can be read. A name in ``known`` that no source has as a signal
+        with a guessed scale is an error too (UnknownName).
     """
     known = known or {}
-    found = [guess_map(path, dbc, folder, files=paths, known=known) for path in paths]
+    if len(paths) == 1 and not is_run_folder(paths[0]):
+        require_sources(paths)
+        runs, assumed = [_run_of_file(paths[0])], list[str]()
+    else:
+        runs, assumed = find_runs(paths, lambda path: _outline(path, dbc))
+    of_first = set(runs[0].kinds)
+    assumed += [
+        f"{run.source}: has other columns than {runs[0].source}, so this map is not for it; guess its map alone"
+        for run in runs
+        if not of_first & set(run.kinds)
+    ]
+    sources = _Sources(paths, runs, dbc, folder, known, assumed)
+    found = [_guess_of_run(run, sources) for run in runs]
     scaled = dict.fromkeys(name for guess in found for name in guess.full)
     if unknown := [name for name in known if name not in scaled]:
         raise UnknownName(
@@ -132,17 +239,10 @@ def guess_maps(
         for name, top in guess.full.items():
             if name not in known:
                 full[name] = max(top, full.get(name, 0.0))
-    return [guess_map(path, dbc, folder, full, paths, known) for path in paths] if full else found
+    return [_guess_of_run(run, sources, full) for run in runs] if full else found
 
 
-def guess_map(
-    path: Path,
-    dbc: Path | None = None,
-    folder: Path | None = None,
-    full: Mapping[str, float] | None = None,
-    files: Sequence[Path] = (),
-    known: Mapping[str, float] | None = None,
-) -> Guess:
+def guess_map(path: Path, dbc: Path | None = None) -> Guess:
     """Guess the import map of a source file: which of its columns are which signals, in which units.
 
     Parameters
@@ -151,15 +251,6 @@ def guess_map(
         The source file, or the folder of a ROS bag.
     dbc
         Database of the messages of a CAN log.
-    folder
-        Folder in which the map will be stored, by default the current folder. The map names the DBC relative to it.
-    full
-        Number of the source that becomes 1, by signal, for signals whose scale is guessed from numbers. Other signals,
-        and all signals by default, have their largest number in this source.
-    files
-        Files that share the map, if they are several.
-    known
-        As ``full``, for signals of which the user gave this number: their scale is no guess.
 
     Returns
     -------
@@ -172,12 +263,35 @@ def guess_map(
         If the source cannot be read, is already a seatrial log, or is a text without a table of numbers, or with the
         comma as delimiter and as decimal mark; also if `dbc` is given for a source that is no CAN log.
     """
+    run = _run_of_file(path)
+    return _guess_of_run(run, _Sources((path,), (run,), dbc, None, {}, ()))
+
+
+def _run_of_file(path: Path) -> RunFiles:
+    """Return the run of a single file."""
+    return RunFiles(path.stem, (path,), (0,), path)
+
+
+def _outline(path: Path, dbc: Path | None) -> FileOutline:
+    """Return the columns and the times of a source file, read with the database `dbc` if it is a CAN log."""
+    file = _read_file(path, dbc)
+    columns, times = set[tuple[str, str]](), list[Column]()
+    for table in file.tables:
+        clock = clock_of(table)
+        columns |= {(table.topic, name) for name in table.names if name not in (clock.column, clock.date)}
+        t = row_seconds(table, clock)
+        if t is not None and np.isfinite(t).any():
+            times.append(t[np.isfinite(t)])
+    span = (min(float(t.min()) for t in times), max(float(t.max()) for t in times)) if times else None
+    return FileOutline(path, frozenset(columns), span)
+
+
+def _read_file(path: Path, dbc: Path | None) -> _ReadFile:
+    """Read the tables of a source file, a CAN log with the database `dbc`. Raise SeatrialError as `guess_map` does."""
     kind = source_kind(path)
     if kind.name == "ros" and _is_log(path):
         raise SeatrialError(f"{path}: is a seatrial log and needs no import; check, ident and export read it directly")
-    if dbc is not None and kind.name != "can":
-        raise SeatrialError(f"{path}: is not a CAN log (candump, .asc, .blf); leave out --dbc")
-    options = SourceOptions(dbc=dbc)
+    options = SourceOptions(dbc=dbc if kind.name == "can" else None)
     if kind.name == "csv":
         style = sniff_style(path, text_head(path))
         if (style is None or (style.delimiter == "," and style.columns)) and has_decimal_commas(text_head(path)):
@@ -188,26 +302,122 @@ def guess_map(
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the import map by hand")
         options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
     tables = [part for table in kind.read(path, options) if table.names for part in _by_own_times(table)]
-    sources = files or (path,)
-    # as given, unless the path is long: the command is to be copied
-    given = [file.name if file.is_absolute() else shlex.quote(file.as_posix()) for file in sources[:MOST_NAMED]]
-    names, more = " ".join(given), len(sources) - MOST_NAMED
+    return _ReadFile(path, kind.name, options, tables)
+
+
+def _guess_of_run(run: RunFiles, sources: _Sources, full: Mapping[str, float] | None = None) -> Guess:
+    """Guess the import map of the files of one run.
+
+    ``full`` has the number of the source that becomes 1, by signal, for signals whose scale is guessed from numbers.
+    Other signals, and all signals by default, have their largest number in this run.
+    """
+    if sources.dbc is not None and not any(source_kind(path).name == "can" for path in run.paths):
+        raise SeatrialError(f"{run.source}: is not a CAN log (candump, .asc, .blf); leave out --dbc")
+    files = [_read_file(path, sources.dbc) for path in run.paths]
+    # the parameters of an autopilot are those of the first table
+    tables = sorted((table for file in files for table in file.tables), key=lambda table: not table.parameters)
+    clocks = {id(table): clock_of(table) for table in tables}
+    candidates = [_with_full_speed(c, full or {}, sources.known) for c in _candidates(files, clocks)]
+    of_ros = {id(table) for file in files if file.kind == "ros" for table in file.tables}
+    candidates = [_with_unit_caveats(_with_frame_key(c) if id(c.table) in of_ros else c) for c in candidates]
+    parts = [
+        (
+            file,
+            _main_clock([c for c in candidates if _is_of(c.table, file)], {id(t): clocks[id(t)] for t in file.tables}),
+        )
+        for file in files
+    ]
+    mains = {id(table): main for file, main in parts for table in file.tables}
+    silent, measured = list[Candidate](), list[Candidate]()
+    for c in candidates:
+        (silent if _is_always_zero(c) else measured).append(c)
+    taken, lines = _chosen_signals(measured, clocks, mains, len(sources.runs))
+    problem = _missing_for_fit(taken, tables)
+    unrecognised = _unrecognised_columns(tables, candidates, clocks)
+    empty = [file for file, _ in parts if len(files) > 1 and not _has_signals(file, lines)]
+    text = _head_lines(sources, [file.path for file in empty])
+    for kind, (file, main) in zip(run.kinds, parts, strict=True):
+        own = [c for c in candidates if _is_of(c.table, file)]
+        unnamed = [(table, column) for table, column in unrecognised if _is_of(table, file)]
+        if file in empty:
+            text += [f"# not in the map, as no signal was recognised: {file.path.name}", *_unrecognised_lines(unnamed)]
+            continue
+        if sources.is_merged:
+            text += ["", "[[file]]", f"match = {_toml_text(_pattern(kind, sources.runs))}"]
+        if file.kind == "ros":
+            text.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; or else "NED"')
+        if file.options.dbc is not None:
+            place = os.path.relpath(file.options.dbc, sources.folder or Path())
+            text.append(f"can = {{ dbc = {_toml_text(Path(place).as_posix())} }}")
+        text += _style_line(file.options, file.kind) + _time_lines(file.tables, own, clocks, main)
+        text += [f"# caveat: {table.full_remark}" for table in file.tables if table.full_remark]
+        text += [line for table in file.tables for line in _not_measured_lines(table)]
+        text += [_always_zero_line(c) for c in silent if _is_of(c.table, file)]
+        text += [line for table in file.tables for line in _length_lines(table, clocks[id(table)], main)]
+        text += [f"# caveat: {line}" for line in _held_signal_comments(own, taken, clocks)]
+        text += ["signal = [", *lines.of(file.tables), *_unrecognised_lines(unnamed), "]"]
+    text += [*([""] if sources.is_merged else []), *_boat_lines(taken), *([f"# no fit: {problem}"] if problem else [])]
+    tops = {signal.name: signal.full for signal in taken if signal.full}
+    names = [column for _, column in unrecognised]
+    return Guess("\n".join(text).rstrip("\n") + "\n", problem, tops, names, run, sources.assumed)
+
+
+def _is_of(table: Table, file: _ReadFile) -> bool:
+    """Return whether a table is one of a file."""
+    return any(table is own for own in file.tables)
+
+
+def _has_signals(file: _ReadFile, lines: _SignalLines) -> bool:
+    """Return whether a signal of a file was chosen for the map."""
+    return any(id(table) in lines.chosen for table in file.tables)
+
+
+def _pattern(kind: int, runs: Sequence[RunFiles]) -> str:
+    """Return the pattern of the names of the files of a kind in all runs. It matches no other file of their folders."""
+    own = [path for run in runs for k, path in zip(run.kinds, run.paths, strict=True) if k == kind]
+    others = {path for run in runs for path in run.paths}
+    others |= {path for run in runs if is_run_folder(run.source) for path in files_of_folder(run.source)}
+    return match_pattern(own, sorted(others.difference(own)))
+
+
+def _head_lines(sources: _Sources, unused: Sequence[Path]) -> list[str]:
+    """Return the first lines of a guessed map: the command, what was assumed, the format and the name.
+
+    ``unused`` are files without a signal, which the import refuses unless it gets their folder.
+    """
+    usable = [path for path in sources.paths if path not in unused]
+    guessed, more = _words_of_paths(sources.paths), len(sources.paths) - MOST_NAMED
     and_more = f" and {more} more" if more > 0 else ""
-    stems = ", ".join(file.stem for file in sources[:MOST_NAMED])
     # a command with some of the names would import these alone
-    args, of_files = ("FILE...", f" of {names}{and_more}") if more > 0 else (names, "")
-    head = [
-        f"# From `seatrial import --guess {args}`{of_files}. Check each caveat, then run `seatrial import MAP {args}`"
-        f"{' with all of them' * (more > 0)}.",
+    args, of_files = ("FILE...", f" of {guessed}{and_more}") if more > 0 else (guessed, "")
+    to_import, of_all = (args, " with all of them") if more > 0 else (_words_of_paths(usable), "")
+    if more > 0 and len(usable) < len(sources.paths):
+        of_all += f" except {first_names([path.name for path in unused], MOST_NAMED)}"
+    origins = [run.source if run.source.is_dir() else None for run in sources.runs if len(run.paths) > 1]
+    if len(set(origins)) < len(origins):  # several runs of several files in one place: the import needs a folder each
+        to_import, of_all = "FOLDER...", " with a folder of each run"
+    stems = ", ".join(name_of_folder(path) if path.is_dir() else path.stem for path in sources.paths[:MOST_NAMED])
+    return [
+        f"# From `seatrial import --guess {args}`{of_files}. Check each caveat, then run `seatrial import MAP "
+        f"{to_import}`{of_all}.",
+        *(f"# assumed: {line}" for line in sources.assumed),
         'format = "seatrial-import 1"',
         f"name = {_toml_text(stems + and_more)}",
     ]
-    if kind.name == "ros":
-        head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; or else "NED"')
-    if dbc is not None:
-        place = os.path.relpath(dbc, folder or Path())
-        head.append(f"can = {{ dbc = {_toml_text(Path(place).as_posix())} }}")
-    clocks = {id(table): clock_of(table) for table in tables}
+
+
+def _words_of_paths(paths: Sequence[Path]) -> str:
+    """Return paths as words of a command, of many the first: as given, unless a path is long, to copy the command."""
+    words = [path.name if path.is_absolute() else shlex.quote(path.as_posix()) for path in paths[:MOST_NAMED]]
+    return " ".join(words)
+
+
+def _candidates(files: Sequence[_ReadFile], clocks: Clocks) -> list[Candidate]:
+    """Return the candidates for signals of all files of a run, with the scales that follow from their numbers.
+
+    `clocks` has the time column of each table, by the id of the table.
+    """
+    tables = [table for file in files for table in file.tables]
     drives: dict[frozenset[str], list[Column]] = {}  # by quantity: left and right get the same scale
     for table in tables:
         for column, _, words, values in _named_columns(table, clocks):
@@ -217,33 +427,11 @@ def guess_map(
                 drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
+    if benches:
+        return _with_speeds_of_commands(_with_resting_pulses(benches))
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
-    candidates = benches or named_commands([*candidates, *outputs(tables)])
-    candidates = _with_speeds_of_commands(_with_resting_pulses(candidates))
-    candidates = [_with_full_speed(c, full or {}, known or {}) for c in candidates]
-    candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
-    main = _main_clock(candidates, clocks)
-    silent, measured = list[Candidate](), list[Candidate]()
-    for c in candidates:
-        (silent if _is_always_zero(c) else measured).append(c)
-    taken, lines = _chosen_signals(measured, clocks, main, max(len(files), 1))
-    problem = _missing_for_fit(taken, tables)
-    head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
-    unrecognised = _unrecognised_columns(tables, candidates, clocks)
-    remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
-    remarks += [line for table in tables for line in _not_measured_lines(table)]
-    remarks += [_always_zero_line(c) for c in silent]
-    remarks += [line for table in tables for line in _length_lines(table, clocks[id(table)], main)]
-    remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
-    closing = ["]", *_boat_lines(taken)]
-    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(unrecognised), *closing])
-    tops = {signal.name: signal.full for signal in taken if signal.full}
-    return Guess(
-        text + (f"\n# no fit: {problem}" if problem else "") + "\n",
-        problem,
-        tops,
-        [column for _, column in unrecognised],
-    )
+    candidates += [c for file in files for c in outputs(file.tables)]
+    return _with_speeds_of_commands(_with_resting_pulses(named_commands(candidates)))
 
 
 def _boat_lines(taken: Sequence[MapSignal]) -> list[str]:
@@ -937,19 +1125,64 @@ def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
 # The choice
 
 
+class _SignalLine(NamedTuple):
+    """Line of a chosen signal in a guessed map.
+
+    Attributes
+    ----------
+    text : str
+        The signal as an inline table of TOML.
+    remark : str
+        Remark on its scale at the end of the line; "" without one.
+    caveat : str
+        Caveat in the line before; "" without one.
+    """
+
+    text: str  # inline table of TOML
+    remark: str  # on the scale, at the end of the line
+    caveat: str  # in the line before
+
+
+class _SignalLines(NamedTuple):
+    """Lines of the signals of a guessed map.
+
+    Attributes
+    ----------
+    chosen : dict
+        Lines of the chosen signals by the id of their table and by name.
+    others : list
+        Id of the table, and the line, of each candidate that was not chosen.
+    """
+
+    chosen: dict[int, dict[str, _SignalLine]]  # by the id of the table and by name
+    others: list[tuple[int, str]]  # id of the table, and line
+
+    def of(self, tables: Sequence[Table]) -> list[str]:
+        """Return the lines of tables: each chosen signal behind its caveat, then the other candidates as comments."""
+        ids = {id(table) for table in tables}
+        chosen = {name: line for key in ids for name, line in self.chosen.get(key, {}).items()}
+        places = {name: k for k, name in enumerate(NAMES)}
+        lines, last_caveat = [], ""
+        for name in sorted(chosen, key=lambda name: (places.get(name, len(places)), name)):
+            line, remark, caveat = chosen[name]
+            lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != last_caveat) + [f"  {line},{remark}"]
+            last_caveat = caveat
+        others = [line for key, line in self.others if key in ids]
+        return lines + (["  # also in the source, each in place of the signal of its name:", *others] if others else [])
+
+
 def _chosen_signals(
-    candidates: Sequence[Candidate], clocks: Clocks, main: Clock, n_files: int
-) -> tuple[list[MapSignal], list[str]]:
+    candidates: Sequence[Candidate], clocks: Clocks, mains: Clocks, n_files: int
+) -> tuple[list[MapSignal], _SignalLines]:
     """Choose the signals of a guessed import map. Return them, and the lines of the map.
 
-    The lines are one for each chosen signal, behind its caveat, then the other candidates as comments. Candidates are
-    tried in the order of their rank, then of the number of their rows, the largest first. For this order, 2 is added to
-    the rank of a thruster of which only one side was found, so that it comes later. A candidate is chosen if its rank
-    is below `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has times (or no table has a column of
-    times), and its thrusters have the same quantity as those of its group that were chosen before. A speed without
-    direction is not chosen after u. Commands and shaft speeds are not chosen if the source has forces of a left or
-    right thruster, or if the vehicle is no boat. `main` is the time column in [time] of the map, and `clocks` has that
-    of each table, by the id of the table. `n_files` files share the map.
+    Candidates are tried in the order of their rank, then of the number of their rows, the largest first. For this
+    order, 2 is added to the rank of a thruster of which only one side was found, so that it comes later. A candidate is
+    chosen if its rank is below `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has times (or no
+    table of its file has a column of times), and its thrusters have the same quantity as those of its group that were
+    chosen before. A speed without direction is not chosen after u. Commands and shaft speeds are not chosen if the
+    source has forces of a left or right thruster, or if the vehicle is no boat. `mains` has the time column in [time]
+    of the map for each table, and `clocks` its own, by the id of the table. `n_files` files of each kind share the map.
     """
 
     sides: dict[frozenset[str], set[str]] = {}
@@ -967,14 +1200,13 @@ def _chosen_signals(
     quantities: dict[str, frozenset[str]] = {}  # quantity of the chosen thrusters, by group
     taken: dict[str, MapSignal] = {}
     has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
-    found: dict[str, tuple[str, str, str]] = {}  # line, its remark, and caveat of each signal
-    others: list[str] = []
+    found = _SignalLines({}, [])
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
         free = candidate.rank < UNCHOSEN_RANK and not names & set(taken) and not (names == {"speed"} and "u" in taken)
         free &= not (candidate.group in THRUSTERS and (has_force or candidate.table.vehicle not in (None, *BOATS)))
         free &= not candidate.quantity or quantities.get(candidate.group, candidate.quantity) == candidate.quantity
-        clock = clocks[id(candidate.table)]
+        clock, main = clocks[id(candidate.table)], mains[id(candidate.table)]
         free &= bool(
             candidate.table.t is not None or clock.column or not main.column
         )  # the table has times, or no table has times
@@ -984,20 +1216,13 @@ def _chosen_signals(
             line = _signal_line(candidate.table, signal, clock, main)
             if free:
                 taken[signal.name] = signal
-                found[signal.name] = line, _scale_remark(signal, n_files), _caveat_of(candidate, signal)
+                shown = _SignalLine(line, _scale_remark(signal, n_files), _caveat_of(candidate, signal))
+                found.chosen.setdefault(id(candidate.table), {})[signal.name] = shown
             else:
                 remark = _scale_remark(signal, n_files).strip("# ")
                 reason = "; ".join(part for part in (remark, candidate.caveat) if part)
-                others.append(f"  # {line}," + (f"  # {reason}" if reason else ""))
-    places = {name: k for k, name in enumerate(NAMES)}
-    lines, last_caveat = [], ""
-    for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):
-        line, remark, caveat = found[name]
-        lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != last_caveat) + [f"  {line},{remark}"]
-        last_caveat = caveat
-    return list(taken.values()), lines + (
-        ["  # also in the source, each in place of the signal of its name:", *others] if others else []
-    )
+                found.others.append((id(candidate.table), f"  # {line}," + (f"  # {reason}" if reason else "")))
+    return list(taken.values()), found
 
 
 def _caveat_of(candidate: Candidate, signal: MapSignal) -> str:

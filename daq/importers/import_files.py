@@ -16,6 +16,13 @@ from seatrial.daq.errors import SeatrialError, counted, warn
 from seatrial.daq.importers.boat_tables import BoatTable
 from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
+from seatrial.daq.importers.run_files import (
+    files_of_folder,
+    is_run_folder,
+    name_of_folder,
+    require_sources,
+    tables_of_folder,
+)
 from seatrial.daq.importers.signals import TURNED, Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from seatrial.daq.importers.sources import source_kind
 from seatrial.daq.importers.table import Table
@@ -45,12 +52,12 @@ def import_files(
     map_path
         The map.
     files
-        The source files.
+        The source files, and folders with the files of a run.
     out
         Path of the log; only if the import makes a single log.
     out_dir
-        Folder of the logs; by default the current folder. The logs are named after the files, or after the map if it
-        merges the files, and after the pieces of the map.
+        Folder of the logs; by default the current folder. The logs are named after the files, or after their folder or
+        the map if it merges the files, and after the pieces of the map.
     force
         Whether existing logs are replaced.
     geometry, scale
@@ -93,7 +100,11 @@ def import_files(
             target = out or (out_dir or Path()) / f"{name}.mcap"
             if target in written:
                 raise SeatrialError(f"{target}: two of the files would become this log; rename one of them")
-            reads = [map_path, *files, *_files_named_in_map(import_map)]
+            reads = [
+                map_path,
+                *(path for _, sources in groups for path, _ in sources),
+                *_files_named_in_map(import_map),
+            ]
             _write_piece(import_map, data, piece, target, force, reads, shift)
             written.append(target)
         for remark in (remark for source_file in data for remark in source_file.remarks):
@@ -182,30 +193,60 @@ def _is_too_many(row: RowsLeftOut) -> bool:
 def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
     """Return for each log of an import its name without ending, and its source files, each with its [[file]] table.
 
-    If the import map has no [[file]] table, each file makes its own log and gets the only source of the map. Otherwise
-    all files make one log. Raise SeatrialError if a [[file]] does not match exactly one file, or a file exactly one
-    [[file]].
+    If the import map has no [[file]] table, each file makes its own log and gets the only source of the map; the log of
+    a file that is alone in a given folder has the name of the folder. Otherwise the files of each folder make one log
+    with the name of the folder, and all other files together one with the name of the map. Files of a folder that no
+    [[file]] matches are left out. Raise SeatrialError if a [[file]] does not match exactly one file, or a file that was
+    given exactly one [[file]].
     """
+    require_sources(files)
+    found: list[tuple[str, list[tuple[Path, Source]]]] = []
     if not import_map.merge:
-        return [(path.stem, [(path, import_map.sources[0])]) for path in files]
+        for path in files:
+            inner = tables_of_folder(path) if is_run_folder(path) else [path]
+            if not inner:
+                raise SeatrialError(f"{path}: has no file that import reads; give the folder of a run, or a file")
+            is_alone = inner != [path] and len(inner) == 1
+            found += [
+                (name_of_folder(path) if is_alone else file.stem, [(file, import_map.sources[0])]) for file in inner
+            ]
+        return found
+    loose = [path for path in files if not is_run_folder(path)]
+    for path in files:
+        if is_run_folder(path):
+            found.append((name_of_folder(path), _files_of_run(import_map, files_of_folder(path), path)))
+        elif path == loose[0]:
+            found.append((import_map.path.stem, _files_of_run(import_map, loose, None)))
+    return found
+
+
+def _files_of_run(import_map: ImportMap, files: Sequence[Path], folder: Path | None) -> list[tuple[Path, Source]]:
+    """Return the source files of one log with their [[file]] tables, in the order of these tables.
+
+    `files` are those in `folder`, or those that were given without one (None). Raise SeatrialError if a [[file]] does
+    not match exactly one file, or a file without a folder exactly one [[file]].
+    """
     group = []
     for source in import_map.sources:
         matching = [path for path in files if fnmatch(path.name, source.match)]
         if len(matching) != 1:
-            found = ", ".join(path.name for path in matching) or "none"
+            shown = ", ".join(map(str, matching)) or "none"
+            of = "the given files" if folder is None else f"the files in {folder}"
+            folders = dict.fromkeys(str(path.parent) for path in matching)
+            runs = f"; for several runs, give their folders: {', '.join(folders)}" if len(folders) > 1 else ""
             raise SeatrialError(
-                f"{import_map.path}: [[file]] match = '{source.match}' must match exactly one of the given files; "
-                f"correct it, as it matches: {found}"
+                f"{import_map.path}: [[file]] match = '{source.match}' must match exactly one of {of}; correct it, as "
+                f"it matches: {shown}{runs}"
             )
         group.append((matching[0], source))
     used = [path for path, _ in group]
     for path in files:
-        if used.count(path) != 1:
+        if used.count(path) > 1 or (folder is None and path not in used):
             raise SeatrialError(
-                f"{import_map.path}: {path.name} must match exactly one [[file]], and it matches {used.count(path)}; "
+                f"{import_map.path}: {path} must match exactly one [[file]], and it matches {used.count(path)}; "
                 "correct match in [[file]]"
             )
-    return [(import_map.path.stem, group)]
+    return group
 
 
 class _SourceFile(NamedTuple):

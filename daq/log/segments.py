@@ -18,9 +18,10 @@ import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, first_names
 from seatrial.daq.log.mcap_chunk import Messages
 from seatrial.daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
+from seatrial.daq.log.run_tables import run_folder_of
 
 _NUMBER = r"[1-9]\d{0,5}"  # number of a later segment in its name
 MAX_NAMED = 8  # logs that an error message names
@@ -356,11 +357,17 @@ def require_logs(paths: Iterable[Path]) -> None:
     if toml := [path for path in wrong if path.suffix.lower() == ".toml"]:
         raise SeatrialError(f"{toml[0]}: a TOML file and not a log; check the order of the arguments")
     if wrong:
-        files = shlex.join(map(str, wrong)) if len(wrong) <= MAX_IN_COMMAND else "FILE..."
+        folders = {path: folder for path in wrong if (folder := run_folder_of(path)) is not None}
+        sources = dict.fromkeys(folders.get(path, path) for path in wrong)
+        files = shlex.join(map(str, sources)) if len(sources) <= MAX_IN_COMMAND else "FILE..."
+        beside = dict.fromkeys(str(folder) for folder in folders.values())
+        further = (
+            f"; {first_names(list(beside), MAX_IN_COMMAND)}: has further tables of the same time" if beside else ""
+        )
         raise SeatrialError(
             f"{', '.join(map(str, wrong))}: not {'an MCAP log' if len(wrong) == 1 else 'MCAP logs'}; use `seatrial "
             f"import` for logs of other formats: `seatrial import --guess {files} -o map.toml`, then `seatrial import "
-            f"map.toml {files}`"
+            f"map.toml {files}`{further}"
         )
 
 

@@ -65,16 +65,16 @@ class ModelSource(click.ParamType[str]):
         """Return the text unchanged, or the path of the model.toml if the text is a folder or a result.json of a fit.
 
         The name of a built-in model or case stands for itself, even if there is a folder of this name; `./NAME` is the
-        folder.
+        folder. Raise SeatrialError for a folder without a model.toml.
         """
         text = str(value)
         if not Path(text).exists():
             return text
-        from seatrial.ident.estimation import model_file
+        from seatrial.ident.estimation import model_source
         from seatrial.ident.models import BUILT_IN
         from seatrial.ident.studies import CASES
 
-        return text if text in (*BUILT_IN, *CASES) else str(model_file(Path(text)))
+        return model_source(text, ("auto", *BUILT_IN, *CASES))
 
 
 MODEL_SOURCE = ModelSource()
@@ -543,6 +543,7 @@ fix_option = click.option(
 MODEL_OPTIONS = (
     click.option(
         "--model",
+        type=MODEL_SOURCE,
         default="auto",
         show_default=True,
         help="horizontal:shaft, horizontal:command (held commands; shafts are states), horizontal:force, "
@@ -551,7 +552,7 @@ MODEL_OPTIONS = (
         "of the outputs are uncertain, which is chosen automatically for an autopilot's outputs; and the same two "
         "options for the current), kinematic:shaft|force (measured attitude; :yaw adds the yaw equation; and the same "
         "two options for the current), surge:force|shaft:position|speed|both, yaw:rate|both, FILE.py:NAME for your "
-        "own, or a model.toml, whose structure and effects are fitted again.",
+        "own, or a model.toml (or the folder of a fit), whose structure and effects are fitted again.",
     ),
     click.option(
         "--thruster",

@@ -61,6 +61,7 @@ from .model_file import effects_per_run as effects_per_run
 from .model_file import leaves_validity as leaves_validity
 from .model_file import load_model as load_model
 from .model_file import model_file as model_file
+from .model_file import model_source as model_source
 from .model_file import save_model as save_model
 from .model_file import unconverged_sentence as unconverged_sentence
 from .model_file import warn_if_unconverged as warn_if_unconverged

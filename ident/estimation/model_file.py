@@ -39,6 +39,7 @@ from seatrial.ident.model import (
 )
 from seatrial.ident.models import (
     ANTENNA,
+    BUILT_IN,
     CURRENT_WALK,
     ESTIMATOR_ERROR,
     TELEMETRY_AGE,
@@ -450,6 +451,34 @@ def model_file(path: Path) -> Path:
         return beside
     inside = path / MODEL
     return inside if inside.is_file() else path
+
+
+def model_source(text: str, names: Collection[str] = ("auto", *BUILT_IN)) -> str:
+    """Return the source of a model: a folder or a result.json of a fit becomes the path of its model.toml.
+
+    Parameters
+    ----------
+    text
+        Name of a model, FILE.py:NAME, or path.
+    names
+        Names that stand for themselves, even if there is a folder of the same name. ``./NAME`` is the folder.
+
+    Returns
+    -------
+    str
+        The path of the model.toml, or ``text``.
+
+    Raises
+    ------
+    SeatrialError
+        If the path is a folder without a model.toml.
+    """
+    path = Path(text)
+    if text in names or not path.exists():
+        return text
+    if (found := model_file(path)).is_dir():
+        raise SeatrialError(f"{found}: this folder has no {MODEL}; give the folder of a fit, or its {MODEL}")
+    return str(found)
 
 
 def leaves_validity(least: float, most: float, fitted: tuple[float, float]) -> bool:

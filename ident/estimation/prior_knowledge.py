@@ -22,6 +22,7 @@ from seatrial.ident.models import (
 )
 
 GNSS = {"x", "y", "vx", "vy"}
+WEIGHED = ("mass", "m", "weight")  # names by which users mean the weighed mass
 ARMS = ("y_left", "y_right", "y_arm")  # positions of the thrusters to starboard
 POSITION = "x_thrusters"  # of both thrusters forward of the centre of gravity [m], in [geometry] or [vehicle]
 POSITION_SD_M = 0.05  # standard uncertainty of a position by a tape, if none is given
@@ -298,7 +299,7 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
                     )
     for name, value in given.items():
         if name not in model.values:
-            raise _no_parameter(model, "--fix", name)
+            raise _no_parameter(model, "--fix", name, given[name])
         try:
             known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
         except ValueError as problem:
@@ -346,10 +347,11 @@ def _check_arms(model: Model) -> None:
     )
 
 
-def _no_parameter(model: Model, option: str, name: str) -> SeatrialError:
+def _no_parameter(model: Model, option: str, name: str, value: float | None = None) -> SeatrialError:
     """Return the error about a name of ``--fix``, ``--prior`` or ``--initial`` that is no parameter of the model.
 
-    It has all names, and the nearest one if there is one. It names the effect to which the parameter belongs. For the
+    It has all names, and the nearest one if there is one. For the mass of the boat it names the option of the weighed
+    mass, with its ``value`` [kg]. It names the effect to which the parameter belongs. For the
     position of a thruster it says that the model does not use positions. In a rig file, a position has no effect on
     such a model.
     """
@@ -357,6 +359,8 @@ def _no_parameter(model: Model, option: str, name: str) -> SeatrialError:
     if name in ARMS and not set(ARMS) & set(model.values):
         steering = ", because its steering gain K contains them" * ("K" in model.values)
         text += f"; the model does not use the positions of the thrusters{steering}: leave out {option} {name}"
+    elif name in WEIGHED and value is not None and "m_u" in model.values:
+        text += f"; the weighed mass is --mass={value:g}; m_u is the mass in surge with the added mass"
     elif effects := [e.name for e in catalogue().values() if name in {p.name for p in e.parameters}]:
         text += (
             f"; it is a parameter of the effect {' or '.join(effects)}: add --effect {effects[0]}, and "
@@ -400,7 +404,7 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
     given = []
     for name, (mean, sd) in prior.items():
         if name not in model.values:
-            raise _no_parameter(model, "--prior", name)
+            raise _no_parameter(model, "--prior", name, mean)
         try:
             given.append(model.parameter(name).known(mean, sd, ParameterOrigin.PRIOR))
         except ValueError as problem:
@@ -436,7 +440,8 @@ def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
     """
     unknown = set(initial) - set(model.values)
     if unknown:
-        raise _no_parameter(model, "--initial", sorted(unknown)[0])
+        first = sorted(unknown)[0]
+        raise _no_parameter(model, "--initial", first, initial[first])
     for name, value in initial.items():
         try:
             model = model.with_values({name: value})

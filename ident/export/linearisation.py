@@ -30,6 +30,7 @@ from seatrial.ident.models import SHORTEST_LAG
 from seatrial.ident.numerics import NOT_SHOWN, STABLE, UNSTABLE, Array, is_undetermined, stability_of
 
 SOLVED = 1e-10  # the same, below which no other start of the search is tried
+NOISE = 1e-10  # size below which a state or input is zero, if the rates are then as small
 BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
 DRIFTS = (0.1, -0.1, 0.3, -0.3)  # initial sway speeds, as parts of the forward speed
 TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
@@ -943,8 +944,9 @@ def _operating_point(rates: Rates, speed: float, near: LinearModel | None = None
     """Return the states (n,) and inputs (m,) that keep straight motion at a forward speed [m/s] through the water.
 
     The surge speed has this value and the yaw rate is zero; the other states and the inputs are found by least squares
-    of the rates. The limits of the inputs are not checked. If there are several such points, it is one of them: if
-    possible the one to which the search from the operating point of the linear model ``near`` leads.
+    of the rates. Values of numerical noise are zero. The limits of the inputs are not checked. If there are several
+    such points, it is one of them: if possible the one to which the search from the operating point of the linear model
+    ``near`` leads.
 
     Raises
     ------
@@ -1004,4 +1006,8 @@ def _operating_point(rates: Rates, speed: float, near: LinearModel | None = None
             f"no inputs keep straight motion at {speed:g} m/s: the rate of {unbalanced} is still {smallest:.2g} per "
             "second; choose another speed, or another heading if the model depends on it (at={'psi': ...})"
         )
+    # The search ends with numerical noise where the solution is zero, such as the sway speed without wind.
+    cleaned = np.where(np.abs(best) < NOISE, 0.0, best)
+    if np.abs(residuals(cleaned)).max(initial=0.0) <= max(smallest, SOLVED):
+        best = cleaned
     return unpacked(best)

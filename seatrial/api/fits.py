@@ -697,8 +697,9 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     logs : path, `Log` or sequence of them
         Logs that the model is fitted to. Of a `Log`, its own window is used.
     model : str
-        Name of the structure, such as ``horizontal:command``, or ``FILE.py:NAME`` of your own. ``auto``: the horizontal
-        model with the inputs that the logs have.
+        Name of the structure, such as ``horizontal:command``, or ``FILE.py:NAME`` of your own; or a model.toml or the
+        folder of a fit, whose structure and effects are fitted again. ``auto``: the horizontal model with the inputs
+        that the logs have.
     validate : path, `Log` or sequence of them
         Other logs, on which the fit is evaluated. They are used whole, so a `Log` with a window is an error. Without
         them the fit is evaluated on ``logs``.
@@ -756,7 +757,7 @@ def vehicle_request(
         If there is no option of a name, if values of parameters are no dict of numbers, or if a prior is no pair of
         numbers.
     """
-    from seatrial.ident.estimation import EstimationOptions, model_file
+    from seatrial.ident.estimation import EstimationOptions, model_file, model_source
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
@@ -771,7 +772,8 @@ def vehicle_request(
     if "thruster" in given:
         given["thruster"] = model_file(as_path(given["thruster"], "thruster"))
     how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
-    return VehicleRequest(logs, validation, Path(), how, str(model), window=window, **given), progress
+    source = model_source(str(model))
+    return VehicleRequest(logs, validation, Path(), how, source, window=window, **given), progress
 
 
 def _check_parameters(given: Mapping[str, Any]) -> None:

@@ -239,8 +239,9 @@ def guess_map(
     Parameters
     ----------
     files : path or sequence of paths
-        Files of the same kind, or folders of ROS bags. The columns are those of the first file; a scale that is guessed
-        from numbers is that of all.
+        Files, folders of ROS bags, or folders with the files of a run. The columns are those of the first run; a scale
+        that is guessed from numbers is that of all. Files of different columns at the same time are one run, and the
+        map has a [[file]] for each.
     path : path, optional
         File to which the map is written. None: it is only returned.
     force : bool
@@ -291,8 +292,10 @@ def guess_map(
             _require_signals(sources[0], guess)
             parse_import_map(text, of_map)  # an error of the numbers is one of this call
         if out is not None:
-            with replacing(out, force, sources) as part:
+            with replacing(out, force, [*sources, *guess.run.paths]) as part:
                 write_output(part, text)
+    for line in guess.assumed:
+        warn(line)
     return text
 
 
@@ -311,13 +314,14 @@ def import_log(
     Parameters
     ----------
     files : path or sequence of paths
-        Files: text tables, bags of ROS, DataFlash, ULog, MATLAB and others.
+        Files: text tables, bags of ROS, DataFlash, ULog, MATLAB and others; or folders, each with the files of one run.
     map_path : path, optional
-        Import map, which assigns columns to signals. None: a map is guessed for each file; a scale that is guessed from
-        numbers is the same for all files. A `SeatrialWarning` says what was inferred from the data. Look at the map
+        Import map, which assigns columns to signals. None: a map is guessed for each run; a scale that is guessed from
+        numbers is the same for all runs. A `SeatrialWarning` says what was inferred from the data. Look at the map
         before you rely on it (`guess_map`).
     out_dir : path
-        Folder of the logs, which is created. A log has the name of its file; if the map merges files, that of the map.
+        Folder of the logs, which is created. A log has the name of its file or folder; if the map merges files that
+        were given without a folder, that of the map.
     force : bool
         Whether existing logs are replaced. If false, an existing log is an error.
     geometry, scale : dict, optional
@@ -356,15 +360,20 @@ def import_log(
         if import_map is not None:
             return import_files(import_map, sources, out_dir=folder, force=force, geometry=geometry, scale=scale)
         guesses = guess_maps(sources, known=full_speed)
-        for source, guess in zip(sources, guesses, strict=True):
-            _require_signals(source, guess)
-    _warn_of_guesses(sources, guesses, _given_words(geometry, scale, full_speed))
+        for guess in guesses:
+            _require_signals(guess.run.source, guess)
+    for line in guesses[0].assumed:
+        warn(line)
+    _warn_of_guesses(guesses, _given_words(geometry, scale, full_speed))
     with errors_of_users(OF_IMPORT), TemporaryDirectory() as scratch:
-        for source, guess in zip(sources, guesses, strict=True):
-            guessed = Path(scratch) / f"{source.stem}.toml"
+        for guess in guesses:
+            source = guess.run.source
+            guessed = Path(scratch) / f"{guess.run.name}.toml"
             guessed.write_text(guess.text, encoding="utf-8")
+            is_alone = sum(other.run.source == source for other in guesses) == 1
+            read = [source] if source.is_dir() and is_alone else guess.run.paths
             try:
-                made += import_files(guessed, [source], out_dir=folder, force=force, geometry=geometry, scale=scale)
+                made += import_files(guessed, read, out_dir=folder, force=force, geometry=geometry, scale=scale)
             except SeatrialError as problem:
                 if type(problem) is not SeatrialError or str(guessed) not in str(problem):
                     raise
@@ -383,7 +392,8 @@ def _check_full_speed(numbers: Mapping[str, float] | None) -> None:
 
 def _require_signals(source: Path, guess: Guess) -> None:
     """Raise SeatrialError if no signal was recognised in a source file, so that its guessed map is without signals."""
-    if tomllib.loads(guess.text)["signal"]:
+    content = tomllib.loads(guess.text)
+    if content.get("file") or content.get("signal"):
         return
     columns = f" in {first_names(guess.unrecognised, 10)}" if guess.unrecognised else ""
     raise SeatrialError(
@@ -399,21 +409,23 @@ def _given_words(geometry: BoatTable | None, scale: BoatTable | None, full_speed
     return f"; as given: {', '.join(given)}" if given else ""
 
 
-def _warn_of_guesses(sources: Sequence[Path], guesses: Sequence[Guess], given: str) -> None:
+def _warn_of_guesses(guesses: Sequence[Guess], given: str) -> None:
     """Warn of what guessed maps infer from the data, and of columns that were not recognised: once for files alike.
 
     ``given`` is the text about the numbers that the user gave, which are no guess. Files are alike if their caveats, or
     their columns, differ in numbers and in the name of the file at most. The text is then that of the first of them.
     """
-    guessed, left_out = dict[Any, list[tuple[Path, str]]](), dict[Any, list[tuple[Path, str]]]()
-    for source, guess in zip(sources, guesses, strict=True):
+    guessed, left_out = dict[Any, list[tuple[list[Path], str]]](), dict[Any, list[tuple[list[Path], str]]]()
+    for guess in guesses:
+        source = guess.run.source
+        sources = [source] if source.is_dir() else list(guess.run.paths)
         found = re.findall(r"# caveat: (.+)", guess.text)
         found += [f"not measured: {text}" for text in re.findall(r"# not measured: (.+)", guess.text)]
         caveats = "; ".join(dict.fromkeys(found))
         columns = first_names(guess.unrecognised, 10) if guess.unrecognised else ""
         for text, groups in ((caveats, guessed), (columns, left_out)):
             if text:
-                groups.setdefault(re.sub(r"\d+", "", text.replace(source.stem, "")), []).append((source, text))
+                groups.setdefault(re.sub(r"\d+", "", text.replace(source.stem, "")), []).append((sources, text))
     for alike in guessed.values():
         paths, names = _of_group(alike)
         one = len({text for _, text in alike}) == 1
@@ -430,9 +442,9 @@ def _warn_of_guesses(sources: Sequence[Path], guesses: Sequence[Guess], given: s
         )
 
 
-def _of_group(alike: Sequence[tuple[Path, str]]) -> tuple[list[Path], str]:
-    """Return the paths of files that are alike, and their names for a message."""
-    paths = [source for source, _ in alike]
+def _of_group(alike: Sequence[tuple[Sequence[Path], str]]) -> tuple[list[Path], str]:
+    """Return the paths of runs that are alike, and their names for a message."""
+    paths = [source for sources, _ in alike for source in sources]
     return paths, first_names([source.name for source in paths], 5)
 
 

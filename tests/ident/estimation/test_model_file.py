@@ -8,12 +8,15 @@ import contextlib
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 import tomlkit
 
+from seatrial.api.fits import vehicle_request
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.ident.characterisation.thrust_curve import load_curve
+from seatrial.ident.cli.commands import vehicle
 from seatrial.ident.cli.options import ModelSource
 from seatrial.ident.data.record import build_record
 from seatrial.ident.effects.nonparametric import input_response_effects, nonparametric_effect
@@ -368,6 +371,18 @@ def test_folder_and_result_file_stand_for_the_model_in_them(tmp_path: Path) -> N
     assert ModelSource().convert(f"{tmp_path}/", None, None) == str(model)
     assert ModelSource().convert("horizontal", None, None) == "horizontal"
     assert ModelSource().convert("own.py:boat", None, None) == "own.py:boat"
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(SeatrialError, match=r"empty: this folder has no model\.toml; give the folder of a fit"):
+        ModelSource().convert(f"{tmp_path}/empty", None, None)
+
+
+def test_the_structure_of_a_fit_may_be_that_of_the_folder_of_a_fit(tmp_path: Path) -> None:
+    (model := tmp_path / "model.toml").write_text("")
+    option = next(param for param in vehicle.params if param.name == "model")
+    assert option.type_cast_value(click.Context(vehicle), str(tmp_path)) == str(model)
+    assert option.type_cast_value(click.Context(vehicle), "auto") == "auto"
+    request, _ = vehicle_request((), (), str(tmp_path), None, {})
+    assert request.model == str(model)
 
 
 def test_a_folder_with_the_name_of_a_model_is_not_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,7 +50,7 @@ def test_matrices_are_the_derivatives_of_the_equations_of_motion(found: LinearMo
     thrust = (p["d_u"] + p["d_uu"] * u) * u / 2
     n = math.sqrt(thrust / (p["c1"] + p["c2"]))
     np.testing.assert_allclose(found.u0, [n, n], rtol=1e-8)
-    np.testing.assert_allclose(found.x0, [u, 0.0, 0.0], atol=1e-9)
+    assert found.operating_point == {"u": u, "v": 0.0, "r": 0.0, "n_left": found.u0[0], "n_right": found.u0[1]}
     slope, arm = 2 * n * (p["c1"] + p["c2"]), 0.15
     np.testing.assert_allclose(found.B[0], [slope / p["m_u"]] * 2, rtol=1e-6)
     np.testing.assert_allclose(found.B[2], [slope * arm / p["m_r"], -slope * arm / p["m_r"]], rtol=1e-6)

@@ -172,8 +172,11 @@ def test_known_parameters_are_fixed() -> None:
     assert model.parameter("d_vv").free
     assert not model.parameter("d_uu").free
     assert (model.values["y_left"], model.values["y_right"]) == (-0.15, 0.15)
-    with pytest.raises(SeatrialError, match="--fix mass: model horizontal has no such parameter; it has m_u"):
-        fix_parameters(horizontal_model(), None, {"mass": 1.0})
+    with pytest.raises(
+        SeatrialError,
+        match=r"--fix mass: model horizontal has no such parameter; it has m_u, .*; the weighed mass is --mass=37; m_u",
+    ):
+        fix_parameters(horizontal_model(), None, {"mass": 37.0})
     with pytest.raises(
         SeatrialError, match=r"; it is a parameter of the effect lift: add --effect lift, and --no-score"
     ):

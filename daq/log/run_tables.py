@@ -1,0 +1,54 @@
+"""Folder of a run: text tables beside each other that have other columns and the same times."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+MOST_FILES = 50  # in a folder that is searched
+END_BYTES = 4096  # at the end of a table, in which its last line is
+
+
+def run_folder_of(path: Path) -> Path | None:
+    """Return the folder of a text table if it has further tables of the same run; else None.
+
+    These have the same ending, another header line, and times that overlap with those of the table, judged by the first
+    cells of the first and the last row. They are compared as numbers, or as text such as dates. The import reads the
+    files better; this test is for the advice of a message.
+    """
+    own = _ends(path)
+    if own is None:
+        return None
+    try:
+        beside = [file for file in path.parent.iterdir() if file.suffix == path.suffix and file != path]
+    except OSError:
+        return None
+    for file in beside[:MOST_FILES]:
+        other = _ends(file)
+        if other is None or other[0] == own[0] or type(other[1]) is not type(own[1]):
+            continue
+        if own[1] < other[2] and other[1] < own[2]:  # type: ignore[operator]  # of equal types
+            return path.parent
+    return None
+
+
+def _ends(path: Path) -> tuple[str, float, float] | tuple[str, str, str] | None:
+    """Return the header line of a text table, and the first cells of its first and last row, as numbers if they are.
+
+    None for a file that cannot be read, is no text or has fewer than three lines.
+    """
+    try:
+        with path.open("rb") as file:
+            head, first = (file.readline(END_BYTES).decode().strip() for _ in range(2))
+            file.seek(max(file.tell(), os.fstat(file.fileno()).st_size - END_BYTES))
+            lines = file.read().decode(errors="ignore").strip().splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    separator = next((sign for sign in ",;\t" if sign in head), None)
+    if separator is None or not lines:
+        return None
+    begin, end = (line.partition(separator)[0].strip() for line in (first, lines[-1]))
+    try:
+        return head, float(begin), float(end)
+    except ValueError:
+        return head, begin, end
