@@ -24,6 +24,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.report import write_report
 from seatrial.ident.report.sections.campaigns import _signed, absolute_change
 from seatrial.ident.report.terminal import campaign_tables
 from seatrial.ident.reporter import Quiet
@@ -46,6 +47,7 @@ from seatrial.ident.workflows.changes import ChangesRequest, _notes_on_models, _
 from seatrial.ident.workflows.fleet import SIDES, _effects_by_parameter
 from seatrial.ident.workflows.vehicle import VehicleFit
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
+from tests.ident.pages import browser, chromium
 from tests.missions import boat_log, boat_with
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -182,6 +184,9 @@ def test_report_and_tables(fouled: CampaignsResult, folder: Path, capsys: pytest
     assert changes.index("d_uu") < changes.index("m_u")  # changed ones first
     name, cell = '<td class="symbol" data-title="parameter">', '<td class="num" data-title="change'
     assert page.index(f"{name}d_uu</td>") < page.index(f"{name}m_u</td>")
+    assert (
+        page.count('<table class="dense many stacked">') == 2
+    )  # smaller letters in a wide window, lines in a narrow one
     # The deciding column is one of the first, which no window cuts.
     first = re.search(r"<thead><tr>(.*?)</tr>", page[page.index("combination of parameters") - 200 :], re.DOTALL)
     assert first is not None
@@ -449,6 +454,28 @@ def test_only_changes_of_positive_values_are_relative() -> None:
     assert found["a"].relative == pytest.approx(1 / 3, abs=0.02)
     assert found["b"].relative is None
     assert found["b"].difference == pytest.approx(1.0, abs=0.05)
+
+
+@browser
+def test_tables_of_changes_fit_into_a_window_of_1400_pixels(tmp_path: Path) -> None:
+    """The numbers have as many digits as those of a boat with nine common errors."""
+    rng = np.random.default_rng(3)
+    rows = damped_rows(rng, 3, 1.4)
+    small = rows_of({"A_axy": 0.00044 + 0.00031 * rng.normal(size=6), "e_xy": 0.02028 + 0.00035 * rng.normal(size=6)})
+    rows += [r | SPEEDS | {"se": 0.00031, "unit": "kg m2/s"} for r in small]
+    write_report(result_of(compared(rows, 3)), tmp_path / "report.html")
+    measure = "[...document.querySelector('iframe').contentDocument.querySelectorAll('.scroller')]"
+    script = (  # in a frame, as the page runs no scripts but its own
+        "addEventListener('load', () => { document.title = 'hidden: ' + "
+        f"{measure}.map((x) => x.scrollWidth - x.clientWidth).join(' '); }});"
+    )
+    frame = tmp_path / "frame.html"
+    style = "width: 1400px; height: 2000px; border: 0"
+    frame.write_text(f'<iframe src="report.html" style="{style}"></iframe><script>{script}</script>', encoding="utf-8")
+    shown = chromium(tmp_path, "--window-size=1500,2000", "--dump-dom", frame.as_uri()).stdout
+    hidden = re.search(r"<title>hidden: ([\d ]+)</title>", shown)
+    assert hidden is not None
+    assert set(hidden[1].split()) == {"0"}
 
 
 def test_effects_of_the_model_are_present_or_not() -> None:
