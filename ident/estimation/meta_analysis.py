@@ -12,12 +12,13 @@ logs, tau is uncertain itself. The covariance of beta is therefore multiplied by
 
 with the residuals r, and its intervals are those of Student's t with ``df`` degrees of freedom (Hartung and Knapp 2001;
 Knapp and Hartung 2003 for a design matrix X). The lower limit 1 prevents intervals that are narrower than the errors of
-the logs allow (Roever, Knapp and Friede 2015).
+the logs allow (Roever, Knapp and Friede 2015). An error that all logs share, as that of a prior, has a known size: its
+variance is added, and it raises the degrees of freedom of the sum (Satterthwaite 1946).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from seatrial.ident.numerics import Array, fisher_sf, scaled_eigen, student_ppf
 
 LEAST_DIRECTION = 1e-9  # directions with smaller eigenvalues of the scaled covariance are left out of a joint test
+MOST_DF = 1e9  # degrees of freedom from which on Student's t is a normal distribution
 LEAST_OWN = 1e-6  # least share of the variance of an estimate that does not come from priors, against rounding
 
 
@@ -53,16 +55,33 @@ class RandomEffects:
     inflation: float
     df: int
 
-    def contrast(self, weights: Array) -> Contrast:
-        """Return a weighted sum of the coefficients, with its interval and its test against zero."""
+    def contrast(self, weights: Array, shared: Array | None = None) -> Contrast:
+        """Return a weighted sum of the coefficients, with its interval and its test against zero.
+
+        Parameters
+        ----------
+        weights : Array (p,)
+            Weights of the coefficients.
+        shared : Array (p, p), optional
+            Covariance of the coefficients by errors that all logs share. Its size is known, unlike that of the scatter.
+            None: there are no such errors.
+
+        Notes
+        -----
+        The variance is a sum of one with ``df`` degrees of freedom and of a known one. Its degrees of freedom are those
+        of Welch (1947) and Satterthwaite (1946).
+        """
         value = float(weights @ self.coefficients)
-        error = float(np.sqrt(weights @ self.covariance @ weights))
+        own = float(weights @ self.covariance @ weights)
+        known = 0.0 if shared is None else float(weights @ shared @ weights)
         if self.df < 1:
-            return Contrast(value, error, float("nan"), float("nan"), float("nan"))
-        error *= float(np.sqrt(self.inflation))
-        reach = float(student_ppf(0.975, self.df)) * error
-        p = float(fisher_sf((value / error) ** 2, 1, self.df)) if error > 0.0 else float("nan")
-        return Contrast(value, error, value - reach, value + reach, p)
+            return Contrast(value, (own + known) ** 0.5, float("nan"), float("nan"), float("nan"), float("nan"))
+        own *= self.inflation
+        error = (own + known) ** 0.5
+        df = min(self.df * (1.0 + known / own) ** 2, MOST_DF) if own > 0.0 else MOST_DF
+        reach = float(student_ppf(0.975, df)) * error
+        p = float(fisher_sf((value / error) ** 2, 1, df)) if error > 0.0 else float("nan")
+        return Contrast(value, error, value - reach, value + reach, p, df)
 
 
 @dataclass(frozen=True)
@@ -77,6 +96,8 @@ class Contrast:
         95 % interval by Student's t; NaN without degrees of freedom.
     p
         p value of the value zero; NaN without degrees of freedom.
+    df
+        Degrees of freedom of the standard error, also with a fraction; NaN without any.
     """
 
     value: float
@@ -84,6 +105,7 @@ class Contrast:
     low: float
     high: float
     p: float
+    df: float
 
 
 def random_effects(values: Array, covariance: Array, design: Array) -> RandomEffects:
@@ -218,10 +240,10 @@ def campaign_difference(values: Array, own: Array, common: Array, after: NDArray
     found = random_effects(values, own, design)
     weights = design.T / (own + found.scatter**2)
     parts = np.linalg.solve(weights @ design, weights @ common)  # of the errors of both means
-    # The factor on the covariance is one of the scatter, so that it does not apply to the common errors.
-    shared = parts @ parts.T / (found.inflation if found.df else 1.0)
-    found = replace(found, covariance=found.covariance + shared)
-    before, later, difference = (found.contrast(np.array(w)) for w in ((1.0, 0.0), (0.0, 1.0), (-1.0, 1.0)))
+    # Factor and degrees of freedom are those of the scatter, so that they do not apply to the common errors.
+    before, later, difference = (
+        found.contrast(np.array(w), parts @ parts.T) for w in ((1.0, 0.0), (0.0, 1.0), (-1.0, 1.0))
+    )
     return CampaignDifference(before, later, difference, found.scatter if found.df else float("nan"), found.df)
 
 

@@ -13,7 +13,13 @@ from rich.text import Text
 from seatrial.daq.console import print_prose, print_table
 from seatrial.daq.errors import counted
 from seatrial.ident.report import formatting
-from seatrial.ident.report.sections.campaigns import VALUES, absolute_change, change_of, effect_words
+from seatrial.ident.report.sections.campaigns import (
+    VALUES,
+    absolute_change,
+    change_of,
+    effect_words,
+    joint_words,
+)
 from seatrial.ident.report.sections.comparison import (
     INSIDE,
     MARKS,
@@ -41,6 +47,7 @@ from seatrial.ident.results import (
     ComparedModel,
     ComparisonResult,
     DiagnosisResult,
+    Difference,
     EffectParameter,
     EffectRow,
     ErrorComparison,
@@ -224,6 +231,8 @@ def fleet_table(result: FleetResult) -> Table:
 def campaign_tables(result: CampaignsResult) -> list[Table]:
     """Return the tables of two campaigns: changes, effects, prediction errors, and what could not be compared.
 
+    Combinations of parameters have a table of their own. The p value of all parameters together is below the changes.
+
     Parameters of noise, disturbances and sensors are left out unless they have changed, and so are parameters that are
     fixed or have a value for each log. Changed parameters come first. The unit follows the numbers that are in it.
     Tables without rows are left out.
@@ -231,24 +240,12 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     shown = [p for p in result.changed_first if not p.nuisance or p.changed]
     left = len(result.parameters) - len(shown)
     tables = list[Table]()
+    if result.combinations:
+        together = sorted(result.combinations, key=lambda c: not c.changed)
+        tables.append(_changes_table("Combinations of parameters", together, absolute=False))
     if shown:
-        table = titled_table(f"Changes{f' ({left} of noise and disturbances in the report)' if left else ''}")
-        table.padding = (0, 1, 0, 0)
-        table.add_column("", no_wrap=True)
-        for title in ("before ± s.e.", "after ± s.e.", "change"):
-            table.add_column(title, justify="right", no_wrap=True)
-        table.add_column("", no_wrap=True)
-        for title in ("change (95 %)", "q"):
-            table.add_column(title, justify="right", no_wrap=True)
-        for p in shown:
-            factor, unit = formatting.degrees_for(p.unit)
-            means = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
-            style = "bold green" if p.changed else ""
-            words = [Text(w) for w in means]
-            words += [Text(absolute_change(p), style), Text(unit)]
-            words += [Text(change_of(p), style), Text(formatting.probability(p.q), style)]
-            table.add_row(Text(p.name, style or "bold"), *words)
-        tables.append(table)
+        title = f"Changes{f' ({left} of noise and disturbances in the report)' if left else ''}"
+        tables.append(_changes_table(title, shown, joint_words(result)))
     if result.effects:
         table = titled_table("Effects")
         for title in ("effect", "before", "after", ""):
@@ -264,6 +261,31 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     found = (("Not compared", "parameter", reasons), ("Failed", "log", failed))
     tables += [_reasons_table(title, what, rows) for title, what, rows in found if rows]
     return tables
+
+
+def _changes_table(title: str, shown: Sequence[Difference], caption: str = "", *, absolute: bool = True) -> Table:
+    """Return the table of the differences of parameters or combinations, with a caption below it.
+
+    Without ``absolute``, it has no column for the changes in the unit of the parameter: long names need its width.
+    """
+    table = titled_table(title)
+    table.caption, table.caption_justify = caption or None, "left"
+    table.padding = (0, 1, 0, 0)
+    table.add_column("", no_wrap=True)
+    for column in ("before ± s.e.", "after ± s.e.", *(["change"] if absolute else [])):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for column in ("change (95 %)", "q"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for p in shown:
+        factor, unit = formatting.degrees_for(p.unit)
+        means = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
+        style = "bold green" if p.changed else ""
+        words = [Text(w) for w in means]
+        words += [*([Text(absolute_change(p), style)] if absolute else []), Text(unit)]
+        words += [Text(change_of(p), style), Text(formatting.probability(p.q), style)]
+        table.add_row(Text(p.name, style or "bold"), *words)
+    return table
 
 
 def _campaign_errors_table(errors: Sequence[CampaignErrors], horizon: float) -> Table:

@@ -23,7 +23,9 @@ from .campaigns import CampaignErrors as CampaignErrors
 from .campaigns import CampaignLog as CampaignLog
 from .campaigns import CampaignMean as CampaignMean
 from .campaigns import CampaignsResult as CampaignsResult
+from .campaigns import CombinationDifference as CombinationDifference
 from .campaigns import CommonFactor as CommonFactor
+from .campaigns import Difference as Difference
 from .campaigns import EffectDifference as EffectDifference
 from .campaigns import JointTest as JointTest
 from .campaigns import LogEstimate as LogEstimate

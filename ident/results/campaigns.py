@@ -44,24 +44,17 @@ class CampaignMean(Part, frozen=True, kw_only=True):
     se: Annotated[float, Meta(description="standard error of the mean, with the errors from priors")]
 
 
-class ParameterDifference(Part, frozen=True, kw_only=True):
-    """Difference of one parameter between two campaigns.
+class Difference(Part, frozen=True, kw_only=True):
+    """Difference of one parameter, or of a combination of parameters, between two campaigns.
 
-    The test and the interval are those of Student's t with the number of logs minus two degrees of freedom. If each
-    campaign has a single log, the scatter between logs is unknown, and there is neither a test nor an interval.
+    The test and the interval are those of Student's t with the number of logs minus two degrees of freedom for the
+    scatter; errors from priors add with their known size. If each campaign has a single log, the scatter between logs
+    is unknown, and there is neither a test nor an interval.
     """
 
     name: Annotated[str, Meta(description="name of the parameter; a ratio to the thrust is `NAME/T`")]
     meaning: Annotated[str, Meta(description="meaning in words")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
-    effect: Annotated[str | None, Meta(description="effect of the parameter; null: the model itself")]
-    nuisance: Annotated[
-        bool,
-        Meta(
-            description="parameter of noise, of a disturbance or of an offset of a sensor, not of the boat; such "
-            "parameters have q values of their own"
-        ),
-    ]
     before: Annotated[CampaignMean, Meta(description="mean of the campaign before")]
     after: Annotated[CampaignMean, Meta(description="mean of the campaign after")]
     difference: Annotated[float, Meta(description="mean after minus mean before")]
@@ -79,7 +72,10 @@ class ParameterDifference(Part, frozen=True, kw_only=True):
     p: Annotated[float | None, Meta(description="p value of no difference; null: two logs only")]
     q: Annotated[
         float | None,
-        Meta(description="p value adjusted for the number of parameters (Benjamini and Hochberg); null as `p`"),
+        Meta(
+            description="p value adjusted for the number of parameters and combinations (Benjamini and Hochberg); "
+            "null as `p`"
+        ),
     ]
     changed: Annotated[bool, Meta(description="verdict: `q` is at most the false discovery rate")]
     detectable: Annotated[
@@ -90,6 +86,28 @@ class ParameterDifference(Part, frozen=True, kw_only=True):
         ),
     ] = None
     logs: Annotated[tuple[LogEstimate, ...], Meta(description="estimate from each log")]
+
+
+class ParameterDifference(Difference, frozen=True, kw_only=True):
+    """Difference of one parameter between two campaigns."""
+
+    effect: Annotated[str | None, Meta(description="effect of the parameter; null: the model itself")]
+    nuisance: Annotated[
+        bool,
+        Meta(
+            description="parameter of noise, of a disturbance or of an offset of a sensor, not of the boat; such "
+            "parameters have q values of their own"
+        ),
+    ]
+
+
+class CombinationDifference(Difference, frozen=True, kw_only=True):
+    """Difference of a combination of parameters that belong together, such as the drag at a speed.
+
+    The estimates of its parameters are correlated, so that it may be known much better than any of them.
+    """
+
+    parameters: Annotated[tuple[str, ...], Meta(description="estimated parameters that it consists of")]
 
 
 class NotCompared(Part, frozen=True, kw_only=True):
@@ -198,6 +216,10 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
     campaigns: Annotated[tuple[CampaignLog, ...], Meta(description="logs whose fit converged")]
     failed: Annotated[tuple[FailedLog, ...], Meta(description="logs without a fit, or whose fit did not converge")]
     parameters: Annotated[tuple[ParameterDifference, ...], Meta(description="compared parameters")]
+    combinations: Annotated[
+        tuple[CombinationDifference, ...],
+        Meta(description="compared combinations of parameters; empty in a result of an earlier version"),
+    ] = ()
     not_compared: Annotated[tuple[NotCompared, ...], Meta(description="other parameters, with the reason")]
     effects: Annotated[tuple[EffectDifference, ...], Meta(description="effects of the model")]
     joint: Annotated[JointTest | None, Meta(description="test of all parameters together; null: none was possible")]
@@ -217,13 +239,18 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
         return tuple(p for p in self.parameters if p.changed and not p.nuisance)
 
     @property
+    def changed_combinations(self) -> tuple[CombinationDifference, ...]:
+        """Combinations of parameters that have changed, those with the smallest p value first."""
+        return tuple(sorted((c for c in self.combinations if c.changed), key=lambda c: c.p or 0.0))
+
+    @property
     def changed_first(self) -> tuple[ParameterDifference, ...]:
         """All compared parameters, those that have changed first; otherwise in the order of `parameters`."""
         return tuple(sorted(self.parameters, key=lambda p: not p.changed))
 
 
 def campaigns_answer(result: CampaignsResult) -> str:
-    """Return the answer of a comparison of campaigns: changed parameters, common factor, and prediction errors."""
+    """Return the answer of a comparison of campaigns: what has changed, common factor, and prediction errors."""
     tested = [p for p in result.parameters if not p.nuisance and p.q is not None]
     changed = [p for p in result.changed if p in tested]
     rate = f"at a false discovery rate of {100.0 * result.false_discovery_rate:g} %"
@@ -234,14 +261,16 @@ def campaigns_answer(result: CampaignsResult) -> str:
         ]
     elif not tested:
         sentences = ["No parameter could be compared."]
-    elif changed:
-        found = [_change_text(p) for p in sorted(changed, key=lambda p: p.p or 0.0)]
+    elif changed or result.changed_combinations:
+        found = [_combination_text(c) for c in result.changed_combinations]
+        found += [_change_text(p) for p in sorted(changed, key=lambda p: (not _is_of_sides(p), p.p or 0.0))]
         more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
-        verb = "has" if len(changed) == 1 else "have"
-        begin = f"{len(changed)} of {counted(len(tested), 'parameter')} {verb} changed {rate}"
-        sentences = [f"{begin}: {', '.join(found[:MOST_NAMES])}{more}."]
+        begin = _changed_subject(len(changed), len(tested), result)
+        sentences = [f"{begin} changed {rate}: {'; '.join(found[:MOST_NAMES])}{more}."]
     else:
-        sentences = [f"None of {counted(len(tested), 'parameter')} has changed {rate}."]
+        n = len(result.combinations)
+        rest = f", nor has {'a combination' if n == 1 else f'any of {n} combinations'} of them" if n else ""
+        sentences = [f"None of {counted(len(tested), 'parameter')} has changed {rate}{rest}."]
         if (n := len(result.campaigns)) <= FEW_LOGS:
             sentences.append(f"With {n} logs in all, only large changes are seen; take three or more of each campaign.")
         if result.joint is not None and result.joint.p is not None and result.joint.p < JOINT_LEVEL:
@@ -261,9 +290,34 @@ def campaigns_answer(result: CampaignsResult) -> str:
     only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
     if only:
         sentences.append(f"Effects of one campaign: {', '.join(only)}.")
-    sentences += filter(None, (_errors_sentence(result), _model_sentence(result)))
+    sentences += filter(None, (_errors_sentence(result), _unexplained_sentence(result), _model_sentence(result)))
     # The changes of a model that lacks an effect may stand for this effect, so that this sentence comes first.
     return " ".join(filter(None, (_worse_predicted_sentence(result), *sentences)))
+
+
+def _changed_subject(n_changed: int, n_tested: int, result: CampaignsResult) -> str:
+    """Return the subject and auxiliary verb of the headline: ``1 of 24 parameters and 1 of 3 combinations have``."""
+    of_them = f"{n_changed or 'None'} of {counted(n_tested, 'parameter')}"
+    if not result.combinations:
+        return f"{of_them} {'has' if n_changed == 1 else 'have'}"
+    n = len(result.changed_combinations)
+    together = f"{n or 'none'} of {counted(len(result.combinations), 'combination')} of them"
+    if not n_changed:
+        return f"{of_them}, but {together} {'has' if n == 1 else 'have'}"
+    return f"{of_them} and {together} have"
+
+
+def _combination_text(c: CombinationDifference) -> str:
+    """Return a changed combination in words, with its 95 % interval: ``the drag at 1 m/s has grown by 51 % (...)``."""
+    low, high, sign = c.low or 0.0, c.high or 0.0, math.copysign(1.0, c.difference)
+    verb = "grown" if sign > 0.0 else "fallen"
+    ends = sorted((sign * low, sign * high))
+    if c.relative is None:
+        size, (least, most) = f"{format_number(abs(c.difference))} {c.unit}".strip(), map(format_number, ends)
+        return f"the {c.meaning} has {verb} by {size} (95 %: {least} to {most})"
+    scale = 100.0 / c.before.mean
+    least, most = (f"{scale * end:.0f}" for end in ends)
+    return f"the {c.meaning} has {verb} by {100.0 * abs(c.relative):.0f} % (95 %: {least} to {most} %)"
 
 
 def _load_sentence(changed: Sequence[ParameterDifference]) -> str:
@@ -307,26 +361,49 @@ def _model_sentence(result: CampaignsResult) -> str:
 
 
 def _sides_sentence(p: ParameterDifference, factor: CommonFactor | None) -> str:
-    """Return a sentence on the thrust of each side, for the parameter of its difference; else empty text.
+    """Return a sentence on the lost thrust of each side, for the parameter of its difference; else empty text.
 
-    The parameter is half the relative difference, left minus right. Without a common factor of masses and damping only
-    the ratio of the sides is known.
+    Without a common factor of masses and damping only the ratio of the sides is known, which the headline has.
     """
-    effect = catalogue().get(p.effect or "")
-    if effect is None or effect.thrust_difference != p.name:
+    if not _is_of_sides(p) or factor is None or not factor.explains:
         return ""
     before, after = p.before.mean, p.after.mean
-    if max(abs(before), abs(after)) >= 1.0:
-        return ""
-    if factor is not None and factor.explains:
-        left, right = ((1.0 + s * after) / (1.0 + s * before) / factor.factor for s in (1.0, -1.0))
-        return (
-            f"If masses and damping have stayed, the left thruster gives {100 * left:.0f} % of its thrust of before, "
-            f"and the right one {100 * right:.0f} %."
-        )
-    then, now = ((1.0 + eps) / (1.0 - eps) for eps in (before, after))
+    left, right = ((1.0 + s * after) / (1.0 + s * before) / factor.factor for s in (1.0, -1.0))
     return (
-        f"The left thruster gives {100 * now:.0f} % of the thrust of the right one; before it was {100 * then:.0f} %."
+        f"If masses and damping have stayed, the left thruster gives {100 * left:.0f} % of its thrust of before, "
+        f"and the right one {100 * right:.0f} %."
+    )
+
+
+def _is_of_sides(p: ParameterDifference) -> bool:
+    """Return whether a parameter is half the relative difference of the thrusts of both sides, left minus right."""
+    effect = catalogue().get(p.effect or "")
+    is_share = max(abs(p.before.mean), abs(p.after.mean)) < 1.0
+    return effect is not None and effect.thrust_difference == p.name and is_share
+
+
+def _unexplained_sentence(result: CampaignsResult) -> str:
+    """Return a sentence if the changes alone predict the logs after much worse than all values of after; else "".
+
+    The channel with the largest ratio of both errors decides.
+    """
+    rows = {e.values: e.channels for e in result.errors if e.logs == "after"}
+    changed, own = (rows.get(kind, {}) for kind in ("changed", "after"))
+    pairs = {n: (c.after, o.after, c.unit) for n, c in changed.items() if (o := own.get(n)) and c.after and o.after}
+    if not pairs:
+        return ""
+    worst = max(pairs, key=lambda n: pairs[n][0] / pairs[n][1])
+    with_changes, with_all, unit = pairs[worst]
+    if with_changes < MUCH_WORSE * with_all:
+        return ""
+    scale = math.degrees(1.0) if unit.startswith("rad") else 1.0
+    shown = unit.replace("rad", "deg")
+    return (
+        f"These changes do not explain all: the error of {worst} {result.horizon:g} s ahead is "
+        f"{format_number(scale * with_changes)} {shown} with them, and {format_number(scale * with_all)} {shown} with "
+        "all values of after. Something else has changed that these logs do not determine. Take more logs of each "
+        "campaign, hold what cannot have changed (--fix NAME=VALUE), or add an effect that may be new (--effect NAME); "
+        "`seatrial ident diagnose` on the logs after looks for it."
     )
 
 
@@ -364,9 +441,16 @@ def _worse_predicted_sentence(result: CampaignsResult) -> str:
 def _change_text(p: ParameterDifference) -> str:
     """Return a changed parameter with its change and the 95 % interval: ``d_uu +24 % (95 %: +15 to +33 %)``.
 
-    Without a relative change, the change is in the unit of the parameter.
+    Without a relative change, the change is in the unit of the parameter. A difference of the sides is in the words of
+    a diagnosis, with the parameter in brackets.
     """
     low, high = p.low or 0.0, p.high or 0.0
+    if _is_of_sides(p):
+        in_words = catalogue()[p.effect or ""].in_words
+        words = in_words({p.name: (p.after.mean, p.after.se)}) if in_words is not None else p.meaning
+        lead = math.copysign(1.0, p.after.mean) * p.before.mean  # of the side that is the stronger one after
+        before = 100.0 * (1.0 - lead) / (1.0 + lead)
+        return f"{words}, before {before:.0f} % ({p.name} {p.difference:+.3g}, 95 %: {low:+.3g} to {high:+.3g})"
     if p.relative is None:
         return f"{p.name} {p.difference:+.3g} {p.unit}".strip() + f" (95 %: {low:+.3g} to {high:+.3g})"
     scale = 100.0 * p.relative / p.difference

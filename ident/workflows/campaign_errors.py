@@ -25,7 +25,8 @@ from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import CampaignErrors, error_rows, finite
 from seatrial.ident.validation import PredictionErrors, horizon_errors, pooled_errors, prediction_change_by_record
-from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, Values, campaign_of, positive_definite
+from seatrial.ident.workflows.campaign_fits import Comparison, Values
+from seatrial.ident.workflows.campaign_logs import FittedLogs, campaign_of, positive_definite
 from seatrial.ident.workflows.fleet import FleetLog, portable
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 
@@ -107,7 +108,7 @@ def _values_without(fitted: FittedLogs, comparison: Comparison, k: int, before: 
     """Return the values of the models that predict the log with the index k, none of which uses this log.
 
     A log before gets the values of the other logs before. A log after gets those before (``before``), those before with
-    the changed parameters of after, and those after.
+    the changed parameters of after, and those after. The parameters of a changed combination count as changed.
     """
     others = fitted.part((np.arange(len(fitted.logs)) != k) & (fitted.after == fitted.after[k]))
     if not fitted.after[k]:
@@ -115,6 +116,7 @@ def _values_without(fitted: FittedLogs, comparison: Comparison, k: int, before: 
     found = {"before": before}
     if others.logs:
         changed = {p.name for p in comparison.parameters if p.changed}
+        changed |= {name for c in comparison.combinations if c.changed for name in c.parameters}
         if changed:
             found["changed"] = _campaign_values(others, comparison.scatter, before, changed)
         found["after"] = _campaign_values(others, comparison.scatter)

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seatrial.daq.errors import counted
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
     AT_BOUND,
-    LEAST_OWN,
     VAGUE,
     CampaignDifference,
     Contrast,
@@ -25,8 +23,8 @@ from seatrial.ident.estimation import (
 from seatrial.ident.models import force_power
 from seatrial.ident.numerics import Array, chi2_sf, student_ppf
 from seatrial.ident.results import (
-    Campaign,
     CampaignMean,
+    CombinationDifference,
     CommonFactor,
     EffectDifference,
     JointTest,
@@ -36,10 +34,11 @@ from seatrial.ident.results import (
     ParameterDifference,
     finite,
 )
+from seatrial.ident.workflows.campaign_combinations import Combination, combinations_of
+from seatrial.ident.workflows.campaign_logs import MOST_PRIOR, FittedLogs, Row, campaign_of
 from seatrial.ident.workflows.fleet import SIDES, common_errors, own_variances
 
 FALSE_DISCOVERY_RATE = 0.05
-MOST_PRIOR = 0.5  # largest share of a parameter's information that may come from its prior
 FAR_FROM_ZERO = 3.0  # standard errors: relative changes and factors need a mean that is farther from zero
 LEVEL = 0.05  # of the presence of an effect, and of the test of a common factor
 NOT_SIGNIFICANT = 2.0  # standard errors: an estimate of a log that is as close to zero shows no effect
@@ -48,90 +47,6 @@ FEW_LOGS = 6  # with up to so many logs of both campaigns, intervals by Student'
 MOST_NAMED = 4  # parameters that the note on few logs names
 NOMINAL = ("c1", "c2", "k_thrust", "c1/T", "c2/T")  # the thrust itself, to which the other parameters are proportional
 Values = dict[str, float]
-Row = Mapping[str, Any]
-Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class FittedLogs:
-    """Estimates of the logs of both campaigns whose fit converged.
-
-    Attributes
-    ----------
-    logs
-        Paths of the logs as given.
-    after : Array of bool (n_logs,)
-        Whether a log belongs to the campaign after.
-    rows
-        For each log, its rows of the table by name of the parameter.
-    """
-
-    logs: tuple[str, ...]
-    after: Mask
-    rows: tuple[Mapping[str, Row], ...]
-
-    def part(self, which: Mask) -> FittedLogs:
-        """Return the logs for which the mask ``which`` (n_logs,) is true."""
-        at = np.flatnonzero(which).tolist()
-        return FittedLogs(tuple(self.logs[k] for k in at), self.after[which], tuple(self.rows[k] for k in at))
-
-    @property
-    def names(self) -> list[str]:
-        """Names of all parameters, in the order of the first log that has them."""
-        return list(dict.fromkeys(name for rows in self.rows for name in rows))
-
-    def known(self, name: str) -> Mask:
-        """Return for each log whether it has an estimate of the parameter with a standard error (n_logs,)."""
-        return np.array([name in r and bool(r[name]["free"]) and r[name]["se"] is not None for r in self.rows])
-
-    def values(self, names: Sequence[str]) -> Array:
-        """Return the estimates (n_logs, n_names)."""
-        return np.array([[r[n]["value"] for n in names] for r in self.rows], dtype=float).reshape(-1, len(names))
-
-    def covariances(self, names: Sequence[str]) -> Array:
-        """Return the covariance of each log's estimates (n_logs, n_names, n_names), with the errors from priors."""
-        found = []
-        for rows in self.rows:
-            se = np.array([rows[n]["se"] for n in names], dtype=float)
-            others = [{n: 1.0} | json.loads(rows[n]["correlations"]) for n in names]
-            matrix = np.array([[of_one.get(n, 0.0) for n in names] for of_one in others])
-            found.append(0.5 * (matrix + matrix.T) * np.outer(se, se))
-        return np.array(found).reshape(-1, len(names), len(names))
-
-    def common(self, names: Sequence[str]) -> Array:
-        """Return the part of the error of each estimate by each prior (n_logs, n_names, n_priors)."""
-        found = common_errors([rows[n] for rows in self.rows for n in names])
-        return found.reshape(len(self.rows), len(names), found.shape[1])
-
-    def own_covariances(self, names: Sequence[str]) -> Array:
-        """Return the covariances without the errors from priors, positive definite (n_logs, n_names, n_names)."""
-        full, common = self.covariances(names), self.common(names)
-        return np.array([positive_definite(S - C @ C.T, np.diag(S)) for S, C in zip(full, common, strict=True)])
-
-
-def positive_definite(matrix: Array, variances: Array) -> Array:
-    """Return the nearest covariance whose eigenvalues, scaled by ``variances`` (n,), are at least 1e-6."""
-    root = np.sqrt(variances)
-    w, V = np.linalg.eigh(matrix / np.outer(root, root))
-    return np.asarray((V * np.maximum(w, LEAST_OWN)) @ V.T * np.outer(root, root))
-
-
-def fitted_logs(rows: Sequence[Row], later: set[str]) -> FittedLogs:
-    """Return the estimates of the logs whose fit converged, from the rows of the table.
-
-    ``later`` has the hashes of the logs of the campaign after.
-    """
-    by_log: dict[str, dict[str, Row]] = {}
-    for row in rows:
-        if row["converged"]:
-            by_log.setdefault(row["log"], {})[row["parameter"]] = row
-    after = [next(iter(of.values()))["sha256"] in later for of in by_log.values()]
-    return FittedLogs(tuple(by_log), np.array(after, dtype=bool), tuple(by_log.values()))
-
-
-def campaign_of(after: bool) -> Campaign:
-    """Return the name of a campaign: ``after`` or ``before``."""
-    return "after" if after else "before"
 
 
 @dataclass(frozen=True)
@@ -140,7 +55,7 @@ class Comparison:
 
     Attributes
     ----------
-    parameters, not_compared, effects, joint, common_factor
+    parameters, combinations, not_compared, effects, joint, common_factor
         As in `CampaignsResult`.
     scatter
         Scatter between the logs by parameter, in its unit; 0 if it is unknown.
@@ -149,6 +64,7 @@ class Comparison:
     """
 
     parameters: tuple[ParameterDifference, ...]
+    combinations: tuple[CombinationDifference, ...]
     not_compared: tuple[NotCompared, ...]
     effects: tuple[EffectDifference, ...]
     joint: JointTest | None
@@ -158,20 +74,26 @@ class Comparison:
 
 
 def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVERY_RATE) -> Comparison:
-    """Compare the parameters of two campaigns by the estimates of their logs.
+    """Compare the parameters of two campaigns, and combinations of them, by the estimates of their logs.
 
     Parameters
     ----------
     fitted : FittedLogs
         Estimates of one log or more of each campaign.
     false_discovery_rate : float
-        Largest expected share of false ones among the changed parameters.
+        Largest expected share of false ones among the changed parameters and combinations.
     """
     reasons = {name: _why_not_compared(fitted, name) for name in fitted.names}
     names = [name for name, reason in reasons.items() if reason is None]
-    differences = {name: _difference(fitted, name) for name in names}
-    tests = _tests(fitted, differences, false_discovery_rate)
+    found, without = combinations_of(fitted, reasons)
+    every = _with_combinations(fitted, found)
+    differences = {name: _difference(every, name) for name in (*names, *(c.name for c in found))}
+    tests = _tests(differences, {n for n in names if fitted.rows[0][n]["nuisance"]}, false_discovery_rate)
     parameters = tuple(_parameter(fitted, n, differences[n], tests[n]) for n in names)
+    combinations = tuple(
+        CombinationDifference(parameters=c.parameters, **_compared(every, c.name, differences[c.name], tests[c.name]))
+        for c in found
+    )
     dynamic = [p.name for p in parameters if not p.nuisance and fitted.known(p.name).all()]
     scatter = {n: float(np.nan_to_num(d.scatter)) for n, d in differences.items()}
     joint = None
@@ -186,7 +108,7 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
         if why is not None
     )
     return Comparison(
-        parameters, not_compared, _effects(fitted, parameters, differences), joint,
+        parameters, combinations, (*not_compared, *without), _effects(fitted, parameters, differences), joint,
         _common_factor(fitted, parameters, scatter), scatter, _notes(fitted, parameters),
     )  # fmt: skip
 
@@ -247,27 +169,36 @@ class _Test:
     detectable: float = float("nan")
 
 
-def _tests(
-    fitted: FittedLogs, differences: Mapping[str, CampaignDifference], false_discovery_rate: float
-) -> dict[str, _Test]:
-    """Return the test of each parameter (Benjamini and Hochberg 1995).
+def _with_combinations(fitted: FittedLogs, combinations: Sequence[Combination]) -> FittedLogs:
+    """Return the logs with a row for each combination, as if it were a parameter."""
+    rows = [
+        {**own, **{c.name: row for c in combinations if (row := c.rows[k]) is not None}}
+        for k, own in enumerate(fitted.rows)
+    ]
+    return FittedLogs(fitted.logs, fitted.after, tuple(rows))
 
-    Parameters of noise, disturbances and sensors are adjusted among themselves, so that a boat with many sensors shows
-    a change as well as one with few.
+
+def _tests(
+    differences: Mapping[str, CampaignDifference], of_sensors: Collection[str], false_discovery_rate: float
+) -> dict[str, _Test]:
+    """Return the test of each parameter and combination (Benjamini and Hochberg 1995).
+
+    ``of_sensors`` has the names of the parameters of noise, disturbances and sensors. They are adjusted among
+    themselves, so that a boat with many sensors shows a change as well as one with few.
     """
     found = dict.fromkeys(differences, _Test())
     for nuisance in (False, True):
         family = {
             n: d.difference.p
             for n, d in differences.items()
-            if fitted.rows[0][n]["nuisance"] is nuisance and np.isfinite(d.difference.p)
+            if (n in of_sensors) is nuisance and np.isfinite(d.difference.p)
         }
         if not family:
             continue
         p = np.array(list(family.values()))
         for k, (name, q) in enumerate(zip(family, _q_values(p).tolist(), strict=True)):
             level, contrast = _level(np.delete(p, k), false_discovery_rate), differences[name].difference
-            detectable = contrast.error * float(student_ppf(1.0 - level / 2.0, differences[name].df))
+            detectable = contrast.error * float(student_ppf(1.0 - level / 2.0, contrast.df))
             found[name] = _Test(q, q <= false_discovery_rate, detectable)
     return found
 
@@ -296,37 +227,42 @@ def _q_values(p: Array) -> Array:
 
 def _parameter(fitted: FittedLogs, name: str, found: CampaignDifference, test: _Test) -> ParameterDifference:
     """Return the entry of the result for one compared parameter."""
-    known = fitted.known(name)
-    part = fitted.part(known)
+    row = next(r[name] for r in fitted.part(fitted.known(name)).rows)
+    return ParameterDifference(
+        effect=row["effect"], nuisance=row["nuisance"], **_compared(fitted, name, found, test)
+    )  # fmt: skip
+
+
+def _compared(fitted: FittedLogs, name: str, found: CampaignDifference, test: _Test) -> dict[str, Any]:
+    """Return what the entries of the result for a parameter and for a combination have in common, by field."""
+    part = fitted.part(fitted.known(name))
     rows = [r[name] for r in part.rows]
     own = own_variances(rows, common_errors(rows))
     estimates = zip(part.logs, part.after.tolist(), rows, np.sqrt(own).tolist(), strict=True)
     difference, mean = found.difference, found.before
     # Per cent of a negative value would have the wrong sign, or hide that its size falls.
     far = mean.value > FAR_FROM_ZERO * mean.error
-    return ParameterDifference(
-        name=name,
-        meaning=rows[0]["meaning"],
-        unit=rows[0]["unit"],
-        effect=rows[0]["effect"],
-        nuisance=rows[0]["nuisance"],
-        before=CampaignMean(n=int((~part.after).sum()), mean=mean.value, se=mean.error),
-        after=CampaignMean(n=int(part.after.sum()), mean=found.after.value, se=found.after.error),
-        difference=difference.value,
-        se=difference.error,
-        low=finite(difference.low),
-        high=finite(difference.high),
-        relative=difference.value / mean.value if far else None,
-        scatter=finite(found.scatter),
-        p=finite(difference.p),
-        q=finite(test.q),
-        changed=test.changed,
-        detectable=finite(test.detectable),
-        logs=tuple(
+    return {
+        "name": name,
+        "meaning": rows[0]["meaning"],
+        "unit": rows[0]["unit"],
+        "before": CampaignMean(n=int((~part.after).sum()), mean=mean.value, se=mean.error),
+        "after": CampaignMean(n=int(part.after.sum()), mean=found.after.value, se=found.after.error),
+        "difference": difference.value,
+        "se": difference.error,
+        "low": finite(difference.low),
+        "high": finite(difference.high),
+        "relative": difference.value / mean.value if far else None,
+        "scatter": finite(found.scatter),
+        "p": finite(difference.p),
+        "q": finite(test.q),
+        "changed": test.changed,
+        "detectable": finite(test.detectable),
+        "logs": tuple(
             LogEstimate(log=log, campaign=campaign_of(after), value=r["value"], se=se)
             for log, after, r, se in estimates
         ),
-    )
+    }
 
 
 def _effects(
@@ -364,7 +300,7 @@ def _is_present(
         null = defaults.get(parameter.name, 0.0)
         mean: Contrast = found.after if after else found.before
         if found.df > 0 and mean.error > 0.0:
-            tests.append(abs(mean.value - null) / mean.error > student_ppf(1 - LEVEL / 2 / len(parameters), found.df))
+            tests.append(abs(mean.value - null) / mean.error > student_ppf(1 - LEVEL / 2 / len(parameters), mean.df))
     if tests:
         return bool(any(tests))
     own, of_campaign = (

@@ -29,7 +29,8 @@ from seatrial.ident.results import (
     write_result,
 )
 from seatrial.ident.workflows.campaign_errors import prediction_errors
-from seatrial.ident.workflows.campaign_fits import FALSE_DISCOVERY_RATE, Row, campaign_of, compare_fits, fitted_logs
+from seatrial.ident.workflows.campaign_fits import FALSE_DISCOVERY_RATE, compare_fits
+from seatrial.ident.workflows.campaign_logs import Row, campaign_of, fitted_logs
 from seatrial.ident.workflows.fleet import (
     TABLE,
     FleetRequest,
@@ -150,8 +151,8 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
         table="" if request.out is None else str(request.out / TABLE),
         horizon=horizon, false_discovery_rate=request.false_discovery_rate,
         campaigns=_campaign_logs(rows, later), failed=_failed(rows), parameters=comparison.parameters,
-        not_compared=comparison.not_compared, effects=comparison.effects, joint=comparison.joint,
-        common_factor=comparison.common_factor, errors=errors,
+        combinations=comparison.combinations, not_compared=comparison.not_compared, effects=comparison.effects,
+        joint=comparison.joint, common_factor=comparison.common_factor, errors=errors,
     )  # fmt: skip
     result = msgspec.structs.replace(result, answer=campaigns_answer(result))
     if request.out is not None:

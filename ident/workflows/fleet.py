@@ -27,7 +27,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, counted, first_names
 from seatrial.daq.log import first_segments, open_log
 from seatrial.ident.diagnosis import COMMON_ERRORS
-from seatrial.ident.estimation import LEAST_OWN, ReportedEstimates, between_log_variance, load_model
+from seatrial.ident.estimation import LEAST_OWN, FittedModel, ReportedEstimates, between_log_variance, load_model
 from seatrial.ident.models import accepting_code, code_digest, is_own_model
 from seatrial.ident.numerics import Array, chi2_sf
 from seatrial.ident.parallel import ResultTable, TaskOutcome, Workers, run_many
@@ -48,6 +48,7 @@ from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_mode
 
 TABLE = "fits.parquet"
 SIDES = "thrust of both sides"  # key of `prior_parts` for which side deviates from the given thrust
+TYPICAL = 0.9  # quantile of a velocity of a log that counts as typical
 CORRELATION_DIGITS = 9  # decimals of a correlation in the table
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 LEVEL = 0.01  # significance level of all parameters together that the logs differ
@@ -72,6 +73,9 @@ COLUMNS: dict[str, type] = {
     "message": str,
     "log_likelihood": float,
     "duration": float,  # s
+    "u_typical": float,  # m/s: speed ahead through the water that nine tenths of the log do not exceed
+    "v_typical": float,  # m/s: as above, for the size of the sway velocity
+    "r_typical": float,  # rad/s: as above, for the size of the yaw rate
     "warnings": int,
     "warning_texts": str,  # JSON: code and text of each warning of the fit
     "answer": str,
@@ -330,6 +334,7 @@ def _fit_log(vehicle: VehicleRequest, code: frozenset[str], log: FleetLog) -> li
         "message": result.fit.message,
         "log_likelihood": result.fit.log_likelihood,
         "duration": sum(x.duration for x in result.logs),
+        **_typical_velocities(done.fitted),
         "warnings": len(result.warnings),
         "warning_texts": json.dumps([[w.code, w.text] for w in result.warnings]),
         "answer": result.answer,
@@ -346,6 +351,21 @@ def _fit_log(vehicle: VehicleRequest, code: frozenset[str], log: FleetLog) -> li
         | _row_of_parameter(row, parts.get(row.name, {}), correlations.get(row.name, {}))
         for row in result.fit.parameters
     ]
+
+
+def _typical_velocities(fitted: FittedModel) -> dict[str, float]:
+    """Return the columns of typical velocities: what nine tenths of the filtered states of a log do not exceed.
+
+    The surge speed counts only ahead, sway velocity and yaw rate count by their size. A state that the model lacks has
+    no column.
+    """
+    found = {}
+    for i, state in enumerate(fitted.fit.model.states):
+        if state.name in ("u", "v", "r"):
+            x = np.concatenate([v.run.x_filt[:, i] for v in fitted.estimation])
+            size = np.maximum(x, 0.0) if state.name == "u" else np.abs(x)
+            found[f"{state.name}_typical"] = float(np.quantile(size, TYPICAL))
+    return found
 
 
 def _correlations(done: VehicleFit) -> dict[str, dict[str, float]]:

@@ -42,11 +42,16 @@ class CampaignComparison(Shown):
 
     @property
     def changed(self) -> list[str]:
-        """Names of the parameters that have changed, without those of noise, disturbances and sensors."""
-        return [p.name for p in self.result.changed]
+        """Names of the combinations and parameters that have changed, such as ``drag ahead at 1 m/s`` and ``d_uu``.
+
+        Parameters of noise, disturbances and sensors are left out.
+        """
+        return [p.name for p in (*self.result.changed_combinations, *self.result.changed)]
 
     def to_pandas(self) -> Any:
         """Return the differences as a ``pandas.DataFrame`` with a row for each parameter, in SI units and radians.
+
+        The rows of combinations of parameters, such as the drag at a speed, come first.
 
         The columns are before, after, difference, se, low, high, relative, scatter, p, q, changed, detectable and unit.
         The difference, its standard error and its interval (low, high) are in this unit, and so is detectable, the
@@ -60,7 +65,7 @@ class CampaignComparison(Shown):
         names = ("difference", "se", "low", "high", "relative", "scatter", "p", "q", "changed", "detectable", "unit")
         rows = {
             p.name: {"before": p.before.mean, "after": p.after.mean} | {n: getattr(p, n) for n in names}
-            for p in self.result.parameters
+            for p in (*self.result.combinations, *self.result.parameters)
         }
         frame = import_library("pandas").DataFrame.from_dict(rows, orient="index", columns=["before", "after", *names])
         floats = [n for n in frame.columns if n not in ("changed", "unit")]
@@ -71,21 +76,21 @@ class CampaignComparison(Shown):
         return text_of(self.result)
 
     def _content(self) -> Content:
-        """Return the answer, the notes, and a row for each parameter with its change and q value.
+        """Return the answer, the notes, and a row for each combination and parameter with its change and q value.
 
-        Changed parameters come first. Angles are in degrees.
+        Combinations come first, then changed parameters. Angles are in degrees.
         """
         from seatrial.ident.report.formatting import degrees_for
-        from seatrial.ident.report.sections.campaigns import absolute_change, change_of
+        from seatrial.ident.report.sections.campaigns import absolute_change, change_of, joint_words
 
         rows = []
-        for p in self.result.changed_first:
+        for p in (*self.result.combinations, *self.result.changed_first):
             factor, unit = degrees_for(p.unit)
             means = (number(factor * m.mean) for m in (p.before, p.after))
             rows.append((p.name, *means, absolute_change(p), unit, change_of(p), number(p.q, 2)))
         return Content(
             self.answer,
-            tuple(map(in_python, self.result.notes)),
+            tuple(map(in_python, filter(None, (joint_words(self.result), *self.result.notes)))),
             ("", "before", "after", "change", "", "change (95 %)", "q"),
             rows,
         )
@@ -148,7 +153,7 @@ def compare_campaigns(
     --------
     >>> found = st.compare_campaigns(["may1.mcap", "may2.mcap"], ["june1.mcap", "june2.mcap"], fixed={"c1": 40.0})
     >>> found.changed
-    ['d_uu']
+    ['drag ahead at 1 m/s', 'd_uu']
     """
     from seatrial.ident.parallel import Workers
     from seatrial.ident.workflows.changes import ChangesRequest, find_changes

@@ -13,9 +13,10 @@ from seatrial.ident.report.sections.predictions import error_words
 from seatrial.ident.results import (
     CampaignErrors,
     CampaignsResult,
+    CombinationDifference,
+    Difference,
     EffectDifference,
     ErrorComparison,
-    ParameterDifference,
 )
 
 VALUES = {"before": "values before", "changed": "with the changes", "after": "values after"}
@@ -25,8 +26,8 @@ MOST_LABELS = 24  # logs whose names fit beside a figure
 ROW_PX, REST_PX = 20, 62  # height of a log's row in a figure, and of the axis below
 
 
-def change_of(p: ParameterDifference) -> str:
-    """Return the change of a parameter with its 95 % interval as text: ``+24 % (+15 to +33)``.
+def change_of(p: Difference) -> str:
+    """Return the change of a parameter or combination with its 95 % interval as text: ``+24 % (+15 to +33)``.
 
     Without a relative change, it is in the shown unit of the parameter. Without an interval, only the change is
     returned.
@@ -41,14 +42,14 @@ def change_of(p: ParameterDifference) -> str:
     return f"{value}{unit}" if low is None or high is None else f"{value}{unit} ({low} to {high})"
 
 
-def absolute_change(p: ParameterDifference) -> str:
+def absolute_change(p: Difference) -> str:
     """Return the change of a parameter with its sign, in the shown unit, with the decimals of its error: ``+8.4``."""
     factor, _ = formatting.degrees_for(p.unit)
     text, _ = formatting.pair(factor * p.difference, factor * p.se)
     return text if p.difference <= 0.0 else f"+{text}"
 
 
-def _detectable_text(p: ParameterDifference) -> str:
+def _detectable_text(p: Difference) -> str:
     """Return the size from which on a change of a parameter would have been found, in the unit of `change_of`."""
     if p.detectable is None:
         return formatting.plain(None)
@@ -77,29 +78,39 @@ def effect_words(effect: EffectDifference) -> tuple[str, str, str, str]:
     return effect.name, words[effect.before], words[effect.after], "changed" if effect.changed else ""
 
 
+def joint_words(result: CampaignsResult) -> str:
+    """Return the p value of all parameters together as a sentence; empty without this test."""
+    if result.joint is None or result.joint.p is None:
+        return ""
+    words = formatting.p_equals(result.joint.p)
+    return f"All {len(result.joint.parameters)} parameters together: p {words} for no change at all."
+
+
 def changes_section(result: CampaignsResult) -> Section:
     """Return the section of the differences of all parameters, of the effects, and of what could not be compared."""
     columns = (
-        ("parameter", ""), ("", ""), ("verdict", ""), ("before ± s.e.", "num"), ("after ± s.e.", "num"),
-        ("change", "num"), ("change (95 %)", "num"), ("found from", "num"), ("scatter", "num"), ("p", "num"),
-        ("q", "num"),
+        ("parameter", ""), ("", ""), ("verdict", ""), ("q", "num"), ("change", "num"), ("change (95 %)", "num"),
+        ("before ± s.e.", "num"), ("after ± s.e.", "num"), ("found from", "num"), ("scatter", "num"), ("p", "num"),
     )  # fmt: skip
+    together = sorted(result.combinations, key=lambda c: not c.changed)
     boat = [p for p in result.changed_first if not p.nuisance]
     rest = [p for p in result.changed_first if p.nuisance]
     rows: list[list[Cell | str]] = [_cells(p) for p in boat]
     if rest:
         rows += [[Cell("Noise, disturbances and sensors")], *(_cells(p) for p in rest)]
-    blocks: list[Any] = [Table(columns, rows)] if rows else []
+    blocks: list[Any] = [Table(columns, rows, stacked=True)] if rows else []
+    if together:
+        of_them = Table((("combination of parameters", ""), *columns[1:]), [_cells(c) for c in together], stacked=True)
+        blocks.insert(0, of_them)
     lead = (
         "Means of the separate fits to the logs, with the scatter between logs as a random effect (REML) and intervals "
         "by Student's t (Hartung and Knapp). A parameter has changed if q, the p value adjusted for the number of "
-        f"parameters (Benjamini and Hochberg), is at most {100 * result.false_discovery_rate:g} %. Found from: size "
-        "from which on a change would have been found. Changed parameters come first."
+        "parameters and combinations (Benjamini and Hochberg), is at most "
+        f"{100 * result.false_discovery_rate:g} %. Found from: size from which on a change would have been found. "
+        "Changed ones come first. A combination, such as the drag at a speed of the logs, may be known better than "
+        "each of its parameters."
     )
-    lines = []
-    if result.joint is not None and result.joint.p is not None:
-        n, words = len(result.joint.parameters), formatting.p_equals(result.joint.p)
-        lines.append(f"All {n} parameters together: p {words} for no change at all.")
+    lines = list(filter(None, [joint_words(result)]))
     if (f := result.common_factor) is not None and f.explains:
         factor, low, high = (formatting.plain(v) for v in (f.factor, f.low, f.high))
         lines.append(
@@ -122,20 +133,19 @@ def changes_section(result: CampaignsResult) -> Section:
     return Section("changes", "Changes", blocks, lead if rows else "")
 
 
-def _cells(p: ParameterDifference) -> list[Cell | str]:
-    """Return the table cells of one parameter."""
+def _cells(p: Difference) -> list[Cell | str]:
+    """Return the table cells of one parameter, or of one combination of parameters."""
     factor, unit = formatting.degrees_for(p.unit)
     before, after = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
     scatter = None if p.scatter is None else factor * p.scatter
     changes = (absolute_change(p), change_of(p), _detectable_text(p))
-    numbers = (before, after, *changes, formatting.plain(scatter, 2))
+    numbers = (formatting.probability(p.q), *changes[:2], before, after, changes[2], formatting.plain(scatter, 2))
     verdict = Cell("changed", "strong") if p.changed else Cell("unknown" if p.q is None else "–", "quiet")
     return [
-        Cell(p.name, "symbol"),
+        Cell(p.name, "" if isinstance(p, CombinationDifference) else "symbol"),
         Cell(unit, "nowrap"),
         verdict,
-        *(Cell(n, "num") for n in numbers),
-        *(Cell(formatting.probability(v), "num") for v in (p.p, p.q)),
+        *(Cell(n, "num") for n in (*numbers, formatting.probability(p.p))),
     ]
 
 
@@ -183,8 +193,11 @@ def _style(verdict: str | None) -> str:
 
 
 def estimates_section(canvas: Canvas, result: CampaignsResult) -> Section:
-    """Return the section of the estimates of each log: a figure for each parameter of the boat, changed ones first."""
-    shown = [p for p in result.changed_first if not p.nuisance]
+    """Return the section of the estimates of each log: a figure for each combination and parameter of the boat.
+
+    Combinations come first, then changed parameters.
+    """
+    shown: list[Difference] = [*result.combinations, *(p for p in result.changed_first if not p.nuisance)]
     key = Key([("before-dots", "log before, with 95 % interval"), ("after-dots", "log after, with 95 % interval")])
     lead = (
         "Line and band: mean of the campaign with its 95 % interval. Errors from priors are left out, because they are "
@@ -194,7 +207,7 @@ def estimates_section(canvas: Canvas, result: CampaignsResult) -> Section:
     return Section("estimates", "Estimates of each log", [key, Grid(plots, 300)] if plots else [], lead)
 
 
-def _estimates_plot(canvas: Canvas, p: ParameterDifference) -> Plot:
+def _estimates_plot(canvas: Canvas, p: Difference) -> Plot:
     """Return the plot of the estimates of one parameter, one row for each log, those before on top."""
     factor, unit = formatting.degrees_for(p.unit)
     logs = sorted(p.logs, key=lambda x: x.campaign == "after")

@@ -164,3 +164,20 @@ def test_mean_of_logs_is_that_of_a_common_fit() -> None:
     # With the slope given, the intercept is that of a regression with this slope.
     given = conditional_mean(mean, covariance, np.array([False, True]), np.array([0.0, 2.5]))
     assert given == pytest.approx([np.mean(y - 2.5 * X[:, 1]), 2.5])
+
+
+@pytest.mark.parametrize(("n", "known"), [(2, 1.0), (3, 0.3), (3, 3.0)])
+def test_a_known_error_of_one_campaign_adds_with_its_size(n: int, known: float) -> None:
+    """An error that the logs after share, as of a given thrust, has no part in Student's t of the scatter."""
+    rng, hits, widths = np.random.default_rng(n), 0, []
+    after = np.repeat([False, True], n)
+    for _ in range(400):
+        values = rng.normal(size=2 * n) + known * rng.normal() * after
+        found = campaign_difference(values, np.ones(2 * n), known * after[:, None].astype(float), after).difference
+        hits += found.low <= 0.0 <= found.high
+        widths.append((found.high - found.low) / 2.0 / found.error)
+        own = found.error**2 - known**2
+        assert found.df == pytest.approx((2 * n - 2) * (1.0 + known**2 / own) ** 2)
+    assert hits >= 0.92 * 400
+    if known > 1.0:  # the interval is that of a normal distribution
+        assert np.median(widths) == pytest.approx(1.96, abs=0.03)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 from collections.abc import Mapping
@@ -23,12 +24,14 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.report import write_report
 from seatrial.ident.report.sections.campaigns import _signed, absolute_change
 from seatrial.ident.report.terminal import campaign_tables
 from seatrial.ident.reporter import Quiet
 from seatrial.ident.results import (
     CampaignErrors,
     CampaignsResult,
+    CombinationDifference,
     ErrorComparison,
     NotCompared,
     campaigns_answer,
@@ -36,12 +39,15 @@ from seatrial.ident.results import (
 )
 from seatrial.ident.results.parts import CommonErrorsRow, EffectParameter
 from seatrial.ident.results.result_file import read_result
-from seatrial.ident.workflows.campaign_errors import _campaign_values
-from seatrial.ident.workflows.campaign_fits import Comparison, FittedLogs, _q_values, compare_fits, fitted_logs
+from seatrial.ident.workflows.campaign_combinations import rounded_down
+from seatrial.ident.workflows.campaign_errors import _campaign_values, _values_without
+from seatrial.ident.workflows.campaign_fits import Comparison, _q_values, compare_fits
+from seatrial.ident.workflows.campaign_logs import FittedLogs, fitted_logs
 from seatrial.ident.workflows.changes import ChangesRequest, _notes_on_models, _with_common_errors
 from seatrial.ident.workflows.fleet import SIDES, _effects_by_parameter
 from seatrial.ident.workflows.vehicle import VehicleFit
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
+from tests.ident.pages import browser, chromium
 from tests.missions import boat_log, boat_with
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -106,7 +112,9 @@ def test_a_changed_drag_is_found_with_its_size(fouled: CampaignsResult) -> None:
     truth = (FASTER - 1.0) * boat_with(None, 5).hull.d_uu
     assert drag.low < truth < drag.high
     assert (drag.before.n, drag.after.n, len(drag.logs)) == (3, 3, 6)
-    assert "parameters has changed at a false discovery rate of 5 %: d_uu +" in fouled.answer
+    assert "1 of 9 parameters and 1 of " in fouled.answer
+    assert " have changed at a false discovery rate of 5 %: the drag ahead at 0.8 m/s has grown by " in fouled.answer
+    assert " %); d_uu +" in fouled.answer
     assert fouled.joint is not None
     assert fouled.joint.p is not None
     assert fouled.joint.p < 0.01
@@ -115,6 +123,21 @@ def test_a_changed_drag_is_found_with_its_size(fouled: CampaignsResult) -> None:
     assert reasons["V_x"] == "has its own value in each log"
     assert fouled.score_tests is False
     assert fouled.notes[-1].startswith("The fits have no score tests: all logs have the same model")
+
+
+def test_a_changed_drag_is_named_at_a_speed_of_the_logs(fouled: CampaignsResult) -> None:
+    (drag,) = fouled.changed_combinations
+    assert (drag.name, drag.parameters, drag.unit) == ("drag ahead at 0.8 m/s", ("d_u", "d_uu"), "N")
+    quadratic = 0.8**2 * boat_with(None, 5).hull.d_uu
+    truth = (FASTER - 1.0) * quadratic
+    assert drag.low is not None
+    assert drag.high is not None
+    assert drag.low < truth < drag.high
+    assert drag.relative == pytest.approx(truth / (0.8 * 1.0 + quadratic), abs=0.06)
+    parts = {p.name: p for p in fouled.parameters}
+    assert drag.before.mean == pytest.approx(
+        0.8 * parts["d_u"].before.mean + 0.8**2 * parts["d_uu"].before.mean, rel=0.02
+    )
 
 
 def test_table_of_what_was_not_compared_goes_by_the_code_and_not_by_the_words(fouled: CampaignsResult) -> None:
@@ -156,11 +179,21 @@ def test_report_and_tables(fouled: CampaignsResult, folder: Path, capsys: pytest
     assert float(size) == pytest.approx(drag.difference, abs=0.1 * drag.se)
     assert size.startswith("+")
     assert re.search(rf"d_uu +\d.* {re.escape(size)} +kg/m +\+\d\d % \(\+\d\d to \+\d\d\) ", text)
+    assert re.search(r"drag ahead at 0.8 m/s +\d.* N +\+\d\d % \(\+\d\d to \+\d\d\) ", text)
+    assert fouled.joint is not None
+    assert f"All {len(fouled.joint.parameters)} parameters together: p " in text
     changes = text[text.index("Changes (") :]
     assert changes.index("d_uu") < changes.index("m_u")  # changed ones first
-    cell = '<td class="num">'
-    assert page.index('<td class="symbol">d_uu</td>') < page.index('<td class="symbol">m_u</td>')
-    assert f"{cell}{size}</td>{cell}+" in re.sub(r"\n *", "", page)
+    name, cell = '<td class="symbol" data-title="parameter">', '<td class="num" data-title="change'
+    assert page.index(f"{name}d_uu</td>") < page.index(f"{name}m_u</td>")
+    assert (
+        page.count('<table class="dense many stacked">') == 2
+    )  # smaller letters in a wide window, lines in a narrow one
+    # The deciding column is one of the first, which no window cuts.
+    first = re.search(r"<thead><tr>(.*?)</tr>", page[page.index("combination of parameters") - 200 :], re.DOTALL)
+    assert first is not None
+    assert re.findall(r">([^<\n]*)</th>", first[1])[:4] == ["combination of parameters", "", "verdict", "q"]
+    assert f'{cell}">{size}</td>{cell} (95 %)">+' in re.sub(r"\n *", "", page)
     assert "Prediction error (rms) 10 s ahead" in text
     assert "V_x" not in text
 
@@ -179,7 +212,10 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     assert frame.loc["m_u", "scatter"] == mass.scatter
     assert not frame["changed"].any()
     assert repr(found).startswith("<CampaignComparison: 6 logs>\nNone of")
-    assert list(frame.index) == [p.name for p in found.result.parameters]
+    assert list(frame.index) == [p.name for p in (*found.result.combinations, *found.result.parameters)]
+    assert "None of " in found.answer
+    assert f" nor has any of {len(found.result.combinations)} combinations of them." in found.answer
+    assert "All 9 parameters together: p " in found._repr_html_()
     assert not frame[["difference", "relative"]].loc[["m_u"]].isna().any().any()
     shown = found._repr_html_()
     assert "<b>None of" in shown
@@ -229,7 +265,7 @@ def test_the_page_runs_as_written(
     monkeypatch.chdir(tmp_path)
     exec(compile(block, "changes.md", "exec"), {"__name__": "page"})
     shown = capsys.readouterr().out
-    assert "['d_uu']" in shown
+    assert "['drag ahead at 0.8 m/s', 'd_uu']" in shown
     assert f" {fouled.answer[:40]}" in shown
     assert (tmp_path / "changes/report.html").exists()
 
@@ -422,6 +458,28 @@ def test_only_changes_of_positive_values_are_relative() -> None:
     assert found["b"].difference == pytest.approx(1.0, abs=0.05)
 
 
+@browser
+def test_tables_of_changes_fit_into_a_window_of_1400_pixels(tmp_path: Path) -> None:
+    """The numbers have as many digits as those of a boat with nine common errors."""
+    rng = np.random.default_rng(3)
+    rows = damped_rows(rng, 3, 1.4)
+    small = rows_of({"A_axy": 0.00044 + 0.00031 * rng.normal(size=6), "e_xy": 0.02028 + 0.00035 * rng.normal(size=6)})
+    rows += [r | SPEEDS | {"se": 0.00031, "unit": "kg m2/s"} for r in small]
+    write_report(result_of(compared(rows, 3)), tmp_path / "report.html")
+    measure = "[...document.querySelector('iframe').contentDocument.querySelectorAll('.scroller')]"
+    script = (  # in a frame, as the page runs no scripts but its own
+        "addEventListener('load', () => { document.title = 'hidden: ' + "
+        f"{measure}.map((x) => x.scrollWidth - x.clientWidth).join(' '); }});"
+    )
+    frame = tmp_path / "frame.html"
+    style = "width: 1400px; height: 2000px; border: 0"
+    frame.write_text(f'<iframe src="report.html" style="{style}"></iframe><script>{script}</script>', encoding="utf-8")
+    shown = chromium(tmp_path, "--window-size=1500,2000", "--dump-dom", frame.as_uri()).stdout
+    hidden = re.search(r"<title>hidden: ([\d ]+)</title>", shown)
+    assert hidden is not None
+    assert set(hidden[1].split()) == {"0"}
+
+
 def test_effects_of_the_model_are_present_or_not() -> None:
     rng = np.random.default_rng(7)
     after = np.arange(8) >= 4
@@ -482,7 +540,7 @@ def test_a_changed_thrust_is_a_common_factor(payload: bool) -> None:
     ("factor", "words"),
     [
         (1.2, "68 % of its thrust of before, and the right one 99 %"),
-        (1.0, "69 % of the thrust of the right one; before it was 100 %"),
+        (1.0, "68.6 ± 0.4 % of the thrust of the right one, before 100 % (eps_LR -0.188, 95 %: -0.196 to -0.179)"),
     ],
 )
 def test_a_lost_thrust_of_one_side_is_stated_in_words(factor: float, words: str) -> None:
@@ -514,7 +572,10 @@ def test_masses_that_change_by_one_factor_are_named_though_the_scale_hides_each_
         part = 0.19 * r["value"] if r["log"] >= "run3" and r["parameter"] != "eps_LR" else 0.0
         r |= {"se": float(np.hypot(own, part)), "prior_parts": json.dumps({SIDES: part} if part else {})}
     answer = campaigns_answer(result_of(compared(rows, 3)))
-    assert answer.startswith("1 of 5 parameters has changed at a false discovery rate of 5 %: eps_LR -0.18")
+    assert answer.startswith(
+        "1 of 5 parameters has changed at a false discovery rate of 5 %: the left thruster gives 68.7 ± 0.4 % of the "
+        "thrust of the right one, before 100 % (eps_LR -0.18"
+    )
     assert "Masses and damping together have changed by one factor of 1.2 (" in answer
     assert "the left thruster gives 68 % of its thrust of before" in answer
 
@@ -593,13 +654,157 @@ def test_logs_after_that_no_values_predict_ask_for_a_diagnosis() -> None:
         assert ("Run `seatrial ident diagnose` on the logs after" in answer) is asked
 
 
+SPEEDS = {"u_typical": 1.1, "v_typical": 0.07, "r_typical": 0.3}
+
+
+def damped_rows(
+    rng: np.random.Generator, n: int, growth: float = 1.0, correlation: float = -0.995
+) -> list[dict[str, Any]]:
+    """Return rows of n logs before and n after whose drag grows by a factor: d_u and d_uu are known by their sum."""
+    after, root = np.repeat([False, True], n), np.linalg.cholesky(np.array([[1.0, correlation], [correlation, 1.0]]))
+    errors = root @ rng.normal(size=(2, 2 * n))
+    grown = np.where(after, growth, 1.0)
+    values = {"d_u": 4.0 * grown + 4.0 * errors[0], "d_uu": 15.0 * grown + 4.0 * errors[1]}
+    values |= {name: 5.0 + 0.3 * rng.normal(size=2 * n) for name in ("m_u", "m_v", "m_r", "Y_r", "N_v")}
+    related = {"d_u": json.dumps({"d_uu": correlation}), "d_uu": json.dumps({"d_u": correlation})}
+    rows = rows_of(values, 0.3, correlations=related, unit={"d_u": "kg/s", "d_uu": "kg/m"})
+    return [r | SPEEDS | {"se": 4.0 if r["parameter"] in related else 0.3} for r in rows]
+
+
+def test_a_grown_drag_is_found_though_neither_of_its_parameters_is() -> None:
+    found = compared(damped_rows(np.random.default_rng(4), 3, 1.4), 3)
+    assert not any(p.changed for p in found.parameters)
+    (drag,) = found.combinations
+    assert (drag.name, drag.parameters, drag.changed) == ("drag ahead at 1 m/s", ("d_u", "d_uu"), True)
+    assert drag.relative == pytest.approx(0.4, abs=0.08)
+    assert drag.logs[0].se == pytest.approx(4.0 * (2 * (1 - 0.995)) ** 0.5)  # of the sum, with the correlation
+    result = result_of(found)
+    answer = campaigns_answer(result)
+    assert answer.startswith(
+        "None of 7 parameters, but 1 of 1 combination of them has changed at a false discovery rate of 5 %: the drag "
+        "ahead at 1 m/s has grown by "
+    )
+    low, high = (100 * v / drag.before.mean for v in (drag.low or 0.0, drag.high or 0.0))
+    assert f"{100 * (drag.relative or 0.0):.0f} % (95 %: {low:.0f} to {high:.0f} %)." in answer
+
+
+def test_a_fallen_drag_is_told_with_positive_numbers() -> None:
+    (drag,) = compared(damped_rows(np.random.default_rng(4), 4, 0.6), 4).combinations
+    assert drag.changed
+    words = re.search(r"has fallen by (\d+) % \(95 %: (\d+) to (\d+) %\)", campaigns_answer(result_of_one(drag)))
+    assert words is not None
+    size, low, high = map(int, words.groups())
+    assert low < 40 < high
+    assert low < size < high
+
+
+def result_of_one(drag: CombinationDifference) -> CampaignsResult:
+    """Return a result with one combination beside a parameter that has not changed."""
+    found = compared(rows_of({"m_u": np.array([40.0, 40.1, 40.1, 40.0])}), 2)
+    return msgspec.structs.replace(result_of(found), combinations=(drag,))
+
+
+def test_combinations_keep_the_false_discovery_rate() -> None:
+    rng = np.random.default_rng(11)
+    wrong = 0
+    for _ in range(60):
+        found = compared(damped_rows(rng, 3), 3)
+        wrong += any(p.changed for p in (*found.parameters, *found.combinations))
+    assert wrong <= 6  # 3 are expected; more than 6 have a probability of 3 %
+
+
+def test_the_prediction_with_the_changes_has_all_parameters_of_a_changed_combination() -> None:
+    rows = damped_rows(np.random.default_rng(4), 3, 1.4)
+    fitted = fitted_logs(rows, {"3", "4", "5"})
+    before = _campaign_values(fitted.part(~fitted.after), {})
+    values = _values_without(fitted, compare_fits(fitted), 5, before)
+    assert {n for n, v in values["changed"].items() if v != before[n]} == {"d_u", "d_uu"}
+    drags = {kind: v["d_u"] + v["d_uu"] for kind, v in values.items()}
+    assert drags["changed"] == pytest.approx(drags["after"], rel=0.03)
+
+
+def test_a_quadratic_damping_at_its_bound_in_a_log_is_part_of_the_sum() -> None:
+    rng = np.random.default_rng(2)
+    values = {"d_r": 5.0 + 0.1 * rng.normal(size=6), "d_rr": 3.0 + 0.1 * rng.normal(size=6)}
+    values["d_r"][4], values["d_rr"][4] = 5.0 + 3.0 * math.radians(15.0), 0.0
+    rows = [r | SPEEDS for r in rows_of(values, unit={"d_r": "kg m2/s", "d_rr": "kg m2"})]
+    for r in rows:
+        if r["value"] == 0.0:
+            r |= {"se": None, "flag": f"{AT_BOUND} 0, the lowest possible value", "correlations": "{}"}
+    found = compared(rows, 3)
+    assert [p.name for p in found.parameters] == ["d_r"]
+    (damping,) = found.combinations
+    assert (damping.name, damping.unit, len(damping.logs)) == ("yaw damping at 15 deg/s", "N m", 6)
+    rate = math.radians(15.0)
+    assert damping.before.mean == pytest.approx(5.0 * rate + 3.0 * rate**2, rel=0.03)
+    assert abs(damping.difference) < 0.05 * damping.before.mean
+
+
+@pytest.mark.parametrize(("prior", "fixed"), [(False, False), (True, False), (False, True)])
+def test_thrust_of_each_side_is_compared_if_the_logs_determine_it(prior: bool, fixed: bool) -> None:
+    """The right thruster has lost 14 %: c1 and c2 fall by 7 %, and the left side gives 1.0753 of their mean."""
+    rng, after = np.random.default_rng(5), np.arange(8) >= 4
+    eps = 0.14 / 1.86
+    values = {
+        "c1": np.where(after, 0.93, 1.0) * 30.0 + 0.2 * rng.normal(size=8),
+        "c2": np.where(after, 0.93, 1.0) * 4.0 + 0.2 * rng.normal(size=8),
+        "eps_LR": eps * after + 0.004 * rng.normal(size=8),
+    }
+    rows = rows_of(values, effect={"eps_LR": "mismatch"}, unit={"c1": "N", "c2": "N"}, free={"c1": not fixed})
+    for r in rows:
+        r["se"] = 0.004 if r["parameter"] == "eps_LR" else 0.2
+        if prior and r["parameter"] == "c1":
+            r["prior_parts"] = json.dumps({"c1": 0.19})
+    found = compared(rows, 4)
+    if prior or fixed:
+        assert not found.combinations
+        reasons = {p.name: p.reason for p in found.not_compared}
+        words = "c1: known mainly from its prior (90 % of the information)"
+        assert reasons.get("thrust ahead of each side", "") == ("" if fixed else words)
+        return
+    left, right = found.combinations
+    assert (left.name, right.name) == ("thrust ahead, left", "thrust ahead, right")
+    assert left.parameters == ("c1", "c2", "eps_LR")
+    assert left.relative == pytest.approx(0.0, abs=0.01)
+    assert right.relative == pytest.approx(-0.14, abs=0.01)
+    assert not left.changed
+    share = 1.0 - rows[-1]["value"]  # error of the last log by the derivatives
+    full = rows[-3]["value"] + rows[-2]["value"]
+    assert right.logs[-1].se == pytest.approx(np.hypot(2**0.5 * 0.2 * share, 0.004 * full))
+    answer = campaigns_answer(result_of(found))
+    assert "the thrust ahead of the right thruster has fallen by 14 % (95 %: 1" in answer
+
+
+@pytest.mark.parametrize(
+    ("value", "rounded"), [(1.0, 1.0), (1.44, 1.2), (0.99, 0.8), (0.3, 0.3), (17.2, 15.0), (0.071, 0.06), (10.0, 10.0)]
+)
+def test_velocities_are_rounded_down(value: float, rounded: float) -> None:
+    assert rounded_down(value) == pytest.approx(rounded, rel=1e-12)
+
+
+@pytest.mark.parametrize(("with_changes", "told"), [(0.611, True), (0.2, False)])
+def test_changes_that_do_not_explain_all_are_told_with_what_to_do(with_changes: float, told: bool) -> None:
+    def errors(values: Any, x: float) -> CampaignErrors:
+        channels = {
+            "x": ErrorComparison(before=0.664, after=x, unit="m", spread=6.0),
+            "psi": ErrorComparison(before=0.2, after=math.radians(5.0), unit="rad", spread=1.6),
+        }
+        return CampaignErrors(logs="after", values=values, channels=channels)
+
+    found = compared(rows_of({"m_u": np.full(4, 40.0)}), 2)
+    answer = campaigns_answer(result_of(found, (errors("changed", with_changes), errors("after", 0.165))))
+    words = "These changes do not explain all: the error of x 10 s ahead is 0.61 m with them, and 0.17 m with all"
+    assert (words in answer) is told
+    assert ("(--effect NAME); `seatrial ident diagnose` on the logs after looks for it." in answer) is told
+
+
 def result_of(found: Comparison, errors: tuple[CampaignErrors, ...] = ()) -> CampaignsResult:
     """Return a result with the tables of a comparison."""
     return CampaignsResult(
         created="", seatrial="", command="", logs=(), answer="", model="auto", table="", horizon=10.0,
         false_discovery_rate=0.05, campaigns=(), failed=(), parameters=found.parameters,
-        not_compared=found.not_compared, effects=found.effects, joint=found.joint, common_factor=found.common_factor,
-        errors=errors,
+        combinations=found.combinations, not_compared=found.not_compared, effects=found.effects, joint=found.joint,
+        common_factor=found.common_factor, errors=errors,
     )  # fmt: skip
 
 
