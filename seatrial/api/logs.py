@@ -382,7 +382,12 @@ def import_log(
 
 
 def _check_full_speed(numbers: Mapping[str, float] | None) -> None:
-    """Raise SeatrialError if a number at full speed ahead, by signal, is not a positive number."""
+    """Raise SeatrialError if the numbers at full speed ahead are no mapping by signal, or one is not positive."""
+    if numbers is not None and not isinstance(numbers, Mapping):
+        raise SeatrialError(
+            f"full_speed, {numbers!r}: give the number of each signal, such as full_speed={{'n_left': 2600, 'n_right': "
+            "2600}, in the unit of the source"
+        )
     for name, number_at_full in (numbers or {}).items():
         if isinstance(number_at_full, bool) or not isinstance(number_at_full, Real) or not 0.0 < number_at_full < inf:
             raise SeatrialError(

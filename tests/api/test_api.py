@@ -1670,6 +1670,7 @@ def test_bollard_pull_ahead_and_astern_gives_both_coefficients_of_thrust(table: 
         ({"scale": {"c1": -3}}, "scale.c1: must be positive, not -3"),
         ({"scale": {"c1": "forty"}}, "c1 in [scale]: must be a number or numbers, not 'forty'"),
         ({"full_speed": {"n_lft": 2900}}, "n_lft: no signal whose full speed is guessed"),
+        ({"full_speed": 272.27}, "full_speed, 272.27: give the number of each signal, such as full_speed={'n_left'"),
         ({"full_speed": {"n_left": 0}}, "full_speed of n_left, 0: give the number at full speed ahead, above zero"),
     ],
 )
