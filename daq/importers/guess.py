@@ -88,6 +88,7 @@ LEAST_LARGEST_COMMAND = 0.3  # of a source, from which its largest shaft speed s
 MOST_NAMED = 3  # files of a shared map that its first line names
 MOST_LISTED = 12  # columns that were not recognised and are listed as comments
 UNKNOWN_CDEG = 65535  # an unknown heading in MAVLink (hdg)
+SHARES_OF_FULL = (0.2, 1.5)  # of a given number at full speed: usual sizes of the largest number of a source
 FEWEST_ZEROS = 10  # rows; a measured signal that is 0 in so many, and in all others, is not measured
 TURN = 6.6  # rad; slightly more than a whole turn
 Clocks = Mapping[int, Clock]  # clock of each table, by the id of the table
@@ -538,15 +539,22 @@ def _length_lines(table: Table, clock: Clock, main: Clock) -> list[str]:
 def _with_full_speed(candidate: Candidate, full: Mapping[str, float], known: Mapping[str, float]) -> Candidate:
     """Return a candidate whose signals with a guessed full speed have that of ``known`` or ``full``, by their names.
 
-    Those of ``known`` are no guess.
+    Those of ``known`` are no guess. If the largest number of the source is far from a given one, a caveat says so: the
+    given number is probably in another unit.
     """
-    signals = []
+    signals, caveats = [], [candidate.caveat] * bool(candidate.caveat)
     for s in candidate.signals:
         if s.full and s.name in known:
+            share = s.full / known[s.name]
+            if not SHARES_OF_FULL[0] < share < SHARES_OF_FULL[1]:
+                caveats.append(
+                    f"{s.name}: the largest number is {s.full:.4g}, {share:.2g} times the given {known[s.name]:.6g}; "
+                    "give it in the unit of the source (1 rad/s is 9.55 rpm)"
+                )
             signals.append(s._replace(full=known[s.name], at_command=0.0, is_given=True))
         else:
             signals.append(s._replace(full=full[s.name]) if s.full and s.name in full else s)
-    return candidate._replace(signals=tuple(signals))
+    return candidate._replace(signals=tuple(signals), caveat="; ".join(caveats))
 
 
 def _with_speeds_of_commands(candidates: Sequence[Candidate]) -> list[Candidate]:

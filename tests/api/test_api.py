@@ -1694,6 +1694,10 @@ def test_a_number_at_full_speed_takes_the_place_of_a_guess(tmp_path: Path) -> No
     assert "scale: inferred" not in known
     assert "scale: given, 1 / " in known
     assert "is assumed to be full forward" not in known
+    assert "times the given" not in known
+    of_other_unit = st.guess_map(file, full_speed={"n_left": 11000.0, "n_right": 2000.0})
+    assert "n_left: the largest number is 1180, 0.11 times the given 11000; give it in the unit of the" in of_other_unit
+    assert "n_right: the largest number" not in of_other_unit
 
 
 def test_the_warning_of_an_import_separates_what_was_given_from_what_was_inferred(tmp_path: Path) -> None:
