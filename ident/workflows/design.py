@@ -890,7 +890,11 @@ def warn_worse_than_baseline(baseline: BaselineSignal, problem: DesignProblem, c
         Criterion of the design.
     """
     limits = problem.limits
-    free = ", which ignores the limits," if limits.bind else ""
+    begin = (
+        "A random sequence that ignores the limits is better than the designed mission, which keeps them"
+        if limits.bind
+        else "The designed mission is worse than a random sequence"
+    )
     given = {"--area": limits.area, "--max-speed": limits.speed, "--energy": limits.energy}
     wider = [name for name, value in given.items() if value is not None]
     keep = (
@@ -900,8 +904,8 @@ def warn_worse_than_baseline(baseline: BaselineSignal, problem: DesignProblem, c
         else " If that changes little, give other --steps or a longer --duration."
     )
     return (
-        f"The designed mission is worse than a random sequence: its {criterion} criterion is "
-        f"{format_number(value)}, the best of 20 {baseline.kind}{free} has {format_number(baseline.value)}. "
+        f"{begin}: the {criterion} criterion of the mission is {format_number(value)}, the best of 20 {baseline.kind} "
+        f"has {format_number(baseline.value)}. "
         f"Repeat the design with twice the --evaluations.{keep}"
     )
 
