@@ -79,7 +79,7 @@ def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
             return fit_and_evaluate(model, *arguments)
         if lost == "fails":
             raise ValueError("the likelihood cannot be evaluated at the initial values")
-        return fit_and_evaluate(model, *arguments[:-1], SearchSettings(max_iterations=1))
+        return fit_and_evaluate(model, *arguments[:-2], SearchSettings(max_iterations=1))
 
     monkeypatch.setattr(fitted_model, "fit_and_evaluate", once_lost)
     fitted = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [])
