@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_mission
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.daq.files import require_new, require_parent
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
 from seatrial.ident.effects import catalogue, is_special_case
@@ -701,7 +701,11 @@ def _effect_for(model: Model, name: str) -> Effect:
     SeatrialError is raised if there is no effect of this name, or if it does not apply to the model.
     """
     if name not in catalogue():
-        raise SeatrialError(f"--discriminate: there is no effect {name!r}; the effects are {', '.join(catalogue())}")
+        near = closest_name(name, catalogue())
+        hint = f"did you mean {near!r}?" if near else f"the effects are {', '.join(catalogue())}"
+        if "(" in name:
+            hint = "this is a curve that is fitted without a formula, and has no size to design for; give an effect"
+        raise SeatrialError(f"--discriminate: there is no effect {name!r}; {hint}")
     effect = catalogue()[name]
     if not model.accepts(effect):
         raise SeatrialError(

@@ -487,6 +487,8 @@ def test_typical_size_follows_the_size_of_the_boat() -> None:
         (("horizontal", "--discriminate", "delay"), 2, "exactly two effects"),
         (("horizontal", "--parameters", "mass"), 1, "'mass' cannot be estimated"),
         (("horizontal", "--discriminate", "delay,ghost"), 1, "no effect 'ghost'"),
+        (("horizontal", "--discriminate", "delay,mismach"), 1, "no effect 'mismach'; did you mean 'mismatch'?"),
+        (("horizontal", "--discriminate", "delay,X(u)"), 1, "this is a curve that is fitted without a formula"),
         (("horizontal", "--rate", "sonar=1"), 1, "--rate sonar: model horizontal"),
         (("horizontal", "--thrusters", "one"), 1, "--thrusters names 1"),
         (("horizontal", "--thrusters", "left,left"), 1, "--thrusters: thrusters: names a thruster twice"),
