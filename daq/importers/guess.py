@@ -115,12 +115,12 @@ class Guess(NamedTuple):
         A line on each assumption about which files belong together, the same for all maps of one call.
     """
 
-    text: str  # of the map
-    problem: str  # why no fit is possible with the map; "" if a fit should be possible
-    full: Mapping[str, float]  # number that becomes 1, by signal
-    unrecognised: Sequence[str]  # columns
+    text: str
+    problem: str
+    full: Mapping[str, float]
+    unrecognised: Sequence[str]
     run: RunFiles
-    assumed: Sequence[str]  # lines for the user
+    assumed: Sequence[str]
 
 
 class _Sources(NamedTuple):
@@ -142,12 +142,12 @@ class _Sources(NamedTuple):
         Lines on assumptions about the runs.
     """
 
-    paths: Sequence[Path]  # as given
+    paths: Sequence[Path]
     runs: Sequence[RunFiles]
     dbc: Path | None
-    folder: Path | None  # in which the map will be stored
-    known: Mapping[str, float]  # number that becomes 1, by signal
-    assumed: Sequence[str]  # lines for the user
+    folder: Path | None
+    known: Mapping[str, float]
+    assumed: Sequence[str]
 
     @property
     def is_merged(self) -> bool:
@@ -175,7 +175,7 @@ class _ReadFile(NamedTuple):
     """
 
     path: Path
-    kind: str  # name of the kind of source
+    kind: str
     options: SourceOptions
     tables: list[Table]
 
@@ -1146,9 +1146,9 @@ class _SignalLine(NamedTuple):
         Caveat in the line before; "" without one.
     """
 
-    text: str  # inline table of TOML
-    remark: str  # on the scale, at the end of the line
-    caveat: str  # in the line before
+    text: str
+    remark: str
+    caveat: str
 
 
 class _SignalLines(NamedTuple):
@@ -1162,8 +1162,8 @@ class _SignalLines(NamedTuple):
         Id of the table, and the line, of each candidate that was not chosen.
     """
 
-    chosen: dict[int, dict[str, _SignalLine]]  # by the id of the table and by name
-    others: list[tuple[int, str]]  # id of the table, and line
+    chosen: dict[int, dict[str, _SignalLine]]
+    others: list[tuple[int, str]]
 
     def of(self, tables: Sequence[Table]) -> list[str]:
         """Return the lines of tables: each chosen signal behind its caveat, then the other candidates as comments."""

@@ -39,8 +39,8 @@ class FileOutline(NamedTuple):
     """
 
     path: Path
-    columns: frozenset[tuple[str, str]]  # topic and name, without the column of times
-    span: tuple[float, float] | None  # first and last time [s]; None if the times are unknown
+    columns: frozenset[tuple[str, str]]
+    span: tuple[float, float] | None
 
 
 class RunFiles(NamedTuple):
@@ -61,7 +61,7 @@ class RunFiles(NamedTuple):
     name: str
     paths: tuple[Path, ...]
     kinds: tuple[int, ...]
-    source: Path  # folder or file that the user gave
+    source: Path
 
 
 class Runs(NamedTuple):

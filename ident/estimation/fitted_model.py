@@ -248,7 +248,8 @@ def fit_with_rescaling(
     settings
         Accuracy of the fits; None: the default.
     start
-        Initial values of all fits by full name, which replace those of the model (`fit`). None: no such values.
+        Initial values by full name, which replace those of the model (`fit`), except in a fit that is repeated. None:
+        no such values.
     detail
         Called with a text in each iteration of the searches, such as ``second fit: iteration 7``.
 
@@ -275,10 +276,11 @@ def fit_with_rescaling(
     first, refits = fitted.fit, list[FittedModel]()
     again_detail = None if detail is None else (lambda text: detail(f"second fit: {text}"))
     shared = {p.name: float(v) for p, v in zip(first.parameters, first.values, strict=True) if p.segment is None}
-    for initial in (again, again.with_values(shared)):
+    # The given initial values would replace the estimates of the first fit in the second attempt.
+    for initial, begin in ((again, start), (again.with_values(shared), None)):
         try:
             refits.append(
-                fit_and_evaluate(initial, records, validation_data, options, settings, start, detail=again_detail)
+                fit_and_evaluate(initial, records, validation_data, options, settings, begin, detail=again_detail)
             )
         except FIT_ERRORS:
             if initial is not again and not refits:

@@ -53,7 +53,10 @@ def candidate_title(name: str) -> str:
 
 
 def curve_words(name: str) -> str:
-    """Return what the name of a curve means, such as ``X(u)`` or ``N(u, r)``; "" for any other name."""
+    """Return the meaning of the name of a curve in words, such as that of ``X(u)`` or ``N(u, r)``.
+
+    The text is empty for a name that is not that of a curve.
+    """
     found = re.fullmatch(r"(\w+)\((past of |swing after |)(\w+)(?:, (\w+))?\)", name)
     if found is None:
         return ""

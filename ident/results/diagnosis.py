@@ -659,9 +659,10 @@ def _physical_parameters(model: Model) -> list[str]:
 
 
 def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
-    """Return the sentences on candidates that still pass the score test: what they are, why none was added, what to do.
+    """Return the sentences on the candidates that still pass their score tests beside the effects found.
 
-    The search did not end because of the largest number of effects.
+    They list the candidates, give the reason why the search added none of them, and recommend what to do next. They are
+    for a search that did not end by the largest number of effects.
     """
     n, names = len(diagnosis.remaining), _remaining_names(diagnosis)
     which = f"; the strongest are {names}" if n > MOST_REMAINING else f": {names}"

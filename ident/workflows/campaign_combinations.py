@@ -200,7 +200,10 @@ def _combination(
 
 
 def _row(log: FittedLogs, names: Sequence[str], function: Function) -> Row | None:
-    """Return the estimate of a combination from one log; None if it has no error, as none of its parameters has one."""
+    """Return the row of a combination from one log.
+
+    The result is None if no parameter of the combination has a standard error, so that the sum has none.
+    """
     values = log.values(names)[0]
     value, gradient = function(values)
     known = [k for k, n in enumerate(names) if log.known(n).all()]

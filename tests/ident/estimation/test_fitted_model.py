@@ -70,11 +70,12 @@ def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
     for side in ("left", "right"):
         n = found.pop(f"n_{side}")
         found[f"f_{side}"] = Channel(n.t, 0.05 * (40.05 * n.value * abs(n.value) + 1.11 * n.value**2))
-    asked: list[float] = []
+    asked, starts, given = list[float](), list[Any](), {"tau_b": 2.0}
 
     def once_lost(model: Model, *arguments: Any, detail: Callable[[str], None]) -> fitted_model.FittedModel:
         detail("asked")
         asked.append(model.values["m_u"])
+        starts.append(arguments[-1])
         if len(asked) == 1 or (len(asked) == 3 and lost != "never converges"):
             return fit_and_evaluate(model, *arguments)
         if lost == "fails":
@@ -82,8 +83,9 @@ def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
         return fit_and_evaluate(model, *arguments[:-2], SearchSettings(max_iterations=1))
 
     monkeypatch.setattr(fitted_model, "fit_and_evaluate", once_lost)
-    fitted = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [])
+    fitted = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [], start=given)
     assert fitted.fit.converged
+    assert starts == [given, given, None]  # given values would replace the estimates of the first fit
     assert len(asked) == 3
     assert asked[2] == pytest.approx(fitted.fit.model.values["m_u"], rel=0.02)
     assert fitted.fit.model.values["m_u"] == pytest.approx(0.05 * boat_with(None, 1).truth()["m_u"], rel=0.1)
