@@ -25,4 +25,5 @@ from .search import ModelAssessment as ModelAssessment
 from .search import assess_model as assess_model
 from .search import diagnose as diagnose
 from .search import evaluate_diagnosis as evaluate_diagnosis
+from .search_rows import rows_of_search as rows_of_search
 from .weighed_mass import with_weighed_mass as with_weighed_mass

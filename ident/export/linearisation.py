@@ -47,7 +47,11 @@ STATE_WORDS = {"u": "surge speed", "v": "sway speed", "r": "yaw rate"}
 LARGE_PART = 0.2  # participation of a state in a motion, as a part of the largest one, from which it is named
 MAIN_PART = 0.5  # the same, from which a pole is named after it
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
-SHORTEST_LAGS = (SHORTEST_LAG, SHORTEST_OWN_LAG)  # shortest time constants of the states of lags [s]
+SHORTEST_LAGS = (
+    SHORTEST_LAG,
+    0.1,
+    SHORTEST_OWN_LAG,
+)  # shortest time constants of lags [s]; 0.1 in searches of 5 rows per s
 SAME_LAG = 1e-9  # relative difference of a time constant from one of these by rounding
 SPEEDS, HALVINGS = 11, 4  # speeds that are searched for unstable poles, and halvings of the steps at both ends
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency

@@ -63,6 +63,8 @@ class Signals(Named):
         States, inputs and parameters by name.
     rate, y : dict
         Time derivatives of the states per second, and outputs, by name.
+    max_step : float
+        Maximum time between two rows of the model [s]: its longest integration step.
     again : Callable
         ``again(x, u, p)`` runs the model again up to the time derivatives, with other values of some states, inputs and
         parameters (dicts by name). It returns new signals, without outputs, `again` and `once`; effects that change
@@ -82,6 +84,7 @@ class Signals(Named):
     p: Any
     rate: dict[str, Any]
     y: dict[str, Any]
+    max_step: float
     again: Callable[[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]], Signals]
     once: Callable[[str, Callable[[], Any]], Any]
 
@@ -91,7 +94,7 @@ class Signals(Named):
         The other values are those of these signals, which are not changed.
         """
         x, u, p = vars(self.x) | x, vars(self.u) | u, vars(self.p) | p
-        return Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})
+        return Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={}, max_step=self.max_step)
 
     def state_or_input(self, name: str) -> Any:
         """Return the value of the state ``name`` if the model has it, otherwise of the input ``name``.
@@ -752,6 +755,7 @@ class Model:
             p=Parameters(**dict(zip(parameters, p, strict=True))),
             rate={},
             y={},
+            max_step=self.max_step,
         )
 
     @cached_property
@@ -970,9 +974,20 @@ class Model:
             states=self.states + effect.states,
             inputs=self.inputs
             + tuple(i.like(own[i.tap_of]) if i.tap_of in own else i for i in effect.inputs if i.name not in own),
-            parameters=self.parameters + effect.parameters,
+            parameters=self.parameters + tuple(map(self._resolved_by_steps, effect.parameters)),
             effects=(*self.effects, effect),
         )
+
+    def _resolved_by_steps(self, p: Parameter) -> Parameter:
+        """Return the parameter of an effect; a frequency of a vehicle gets an upper bound, if it has none below it.
+
+        The bound is a quarter of the rate of the longest integration steps. At a faster oscillation, Runge-Kutta steps
+        would add damping, and the covariance would grow without limit.
+        """
+        highest = 0.25 / self.max_step
+        if p.unit != "Hz" or self.kind is not ModelKind.VEHICLE or p.bounds[1] <= highest:
+            return p
+        return replace(p, value=min(p.value, highest), bounds=(min(p.bounds[0], highest), highest))
 
     def without(self, name: str) -> Model:
         """Return the model without the effect ``name``: without its hooks, states, parameters and inputs.

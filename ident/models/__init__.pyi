@@ -42,6 +42,7 @@ from .horizontal import available_taps as available_taps
 from .horizontal import first_order as first_order
 from .horizontal import horizontal_model as horizontal_model
 from .horizontal import shift_in_time as shift_in_time
+from .horizontal import shortest_lag as shortest_lag
 from .horizontal import symmetric_arms as symmetric_arms
 from .kinematic import kinematic_model as kinematic_model
 from .published_values import ARM as ARM

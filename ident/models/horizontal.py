@@ -89,7 +89,7 @@ LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s
 MAX_COPY_SHIFT = 20  # largest shift of a copy of a measured input, in steps of HISTORY_STEP
 # Width of the transition at the end of the dead zone, in units of the command; the parameter is its centre
 DEAD_ZONE_EDGE = 0.05
-SHORTEST_LAG = 0.05  # s: time constants below it are approximated, see `first_order`
+SHORTEST_LAG = 0.05  # s: time constants below it are always approximated, see `shortest_lag`
 DRIVEN_SHAFT_STEP_S = 0.05  # s: longer Runge-Kutta steps would be inaccurate for a state with the shortest lag
 SHAFT = (
     Parameter("T_n", 0.2, "s", "time constant of the shafts", prior=(0.2, 0.5), bounds=(0.0, 3.0), step=0.02),
@@ -267,7 +267,16 @@ def driven_shaft(s: Signals) -> None:
         s.n[side] = first_order(s, f"n_{side}", reference, s.p.T_n)
 
 
-def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any, shortest: float = SHORTEST_LAG) -> Any:
+def shortest_lag(max_step: float) -> float:
+    """Return the shortest time constant [s] of the state of a lag, in a model with steps up to ``max_step`` [s].
+
+    It is half a step, at least `SHORTEST_LAG` (0.05 s). The integration over a step of more than two time constants
+    would be inaccurate, and over a step of more than 2.7 unstable.
+    """
+    return max(SHORTEST_LAG, max_step / 2.0)
+
+
+def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any, shortest: float | None = None) -> Any:
     """Return a signal after a first-order lag, and set the time derivative of the state of the lag.
 
     Parameters
@@ -280,8 +289,8 @@ def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any, shor
         Signal before the lag.
     time_constant : float or symbol
         Time constant [s], >= 0.
-    shortest : float
-        Shortest time constant of the state [s], > 0.
+    shortest : float, optional
+        Shortest time constant of the state [s], > 0. By default it is `shortest_lag` of the model.
 
     Returns
     -------
@@ -294,7 +303,7 @@ def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any, shor
     signal. Its delay is that of a lag with the given time constant. Shorter time constants of the state would need
     shorter integration steps.
     """
-    x = getattr(s.x, state)
+    x, shortest = getattr(s.x, state), shortest_lag(s.max_step) if shortest is None else shortest
     s.rate[state] = (driven_by - x) / np.maximum(time_constant, shortest)
     return driven_by + np.minimum(time_constant / shortest, 1.0) * (x - driven_by)
 

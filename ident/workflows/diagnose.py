@@ -11,7 +11,14 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, TimeWindows, load_all
-from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis, with_times, with_weighed_mass
+from seatrial.ident.diagnosis import (
+    Diagnosis,
+    diagnose,
+    evaluate_diagnosis,
+    rows_of_search,
+    with_times,
+    with_weighed_mass,
+)
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import EstimationOptions, RefittedEffect, fix_parameters, load_model
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
@@ -64,8 +71,8 @@ class DiagnosisRequest:
         For a vehicle model: file of the static thrust curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several. None: no curve, and the only thruster.
     rate
-        Rate of the rows [Hz] over which faster sensors are averaged. None: 10 Hz for a vehicle model, 50 Hz for a
-        thruster model.
+        Rate of the rows [Hz] over which faster sensors are averaged. None: 5 Hz for a slow vehicle (`rows_of_search`),
+        10 Hz for others, 50 Hz for a thruster model.
     despite_faults
         Whether to search even if the checks find faults that make a fit meaningless.
     window
@@ -213,6 +220,8 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
         *(unused_lines(unused) if model.kind is ModelKind.VEHICLE else []),
         *hold_lines(saved, [*loaded, *validation_logs]),
     ]
+    if request.rate is None:
+        model, usual_rate = rows_of_search(model, saved.validity, usual_rate)
     model, fixed_notes = fix_parameters(model, None, request.fixed) if request.fixed else (model, [])
     loaded, validation_logs = check_first(loaded, validation_logs, model, request.despite_faults)
     if model.kind is ModelKind.VEHICLE:

@@ -25,7 +25,7 @@ from seatrial.ident.model import (
     tap_name,
     weighted_sum,
 )
-from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, available_taps
+from seatrial.ident.models import LONGEST_DELAY, SIDES, available_taps, shortest_lag
 
 N_PAST = 5  # number of earlier samples of each input
 
@@ -119,7 +119,7 @@ def _earlier_lag_states(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]
     """
     if not hasattr(s.x, f"late_{SIDES[0]}"):
         return {}
-    half, lag = s.p.tau_gnss / 2, np.maximum(s.p.T_lag, SHORTEST_LAG)
+    half, lag = s.p.tau_gnss / 2, np.maximum(s.p.T_lag, shortest_lag(s.max_step))
     far = np.maximum(half / lag, 0.5)
     by_rate = np.minimum((2 / far - 1) / far, 1.0)
     led, states = s.again({}, inputs, {}), {}
