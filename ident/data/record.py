@@ -692,8 +692,8 @@ class _Blocks:
     def _near(self, t: Array, of_block: Array) -> NDArray[np.bool_]:
         """Return which samples at the times ``t`` (n,) [s] are averaged: those near the instants ``of_block`` (n,) [s].
 
-        In a block as long as a mean (`mean_length`) these are all. In a longer block they are the samples in its middle,
-        or the nearest one if there is none.
+        In a block as long as a mean (`mean_length`) these are all. In a longer block they are the samples in its
+        middle, or the nearest one if there is none.
         """
         length = mean_length(self.rate)
         if length >= 1.0 / self.rate:
@@ -741,8 +741,8 @@ def _averaging_window(interval: float, instants: Array, rate: float) -> float:
     """Return the length [s] of the moving average of a continuous signal that is equivalent to a mean of samples.
 
     The mean is that of the samples, ``interval`` [s] apart, in blocks around ``instants`` (n,) [s], of which the median
-    length counts, or over their middle if rows of the ``rate`` [Hz] are averaged over less (`mean_length`). Both averages
-    have the same variance of time.
+    length counts, or over their middle if the ``rate`` [Hz] of the rows is so low (`mean_length`). Both averages have
+    the same variance of time.
     """
     block = float(np.median(np.diff(instants))) if instants.size > 1 else 0.0
     block = min(block, mean_length(rate)) if mean_length(rate) < 1.0 / rate else block
