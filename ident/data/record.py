@@ -669,16 +669,16 @@ class _Blocks:
         if angle:
             value = np.unwrap(value)
         of_block = self.instant(t)
-        near = self._near(t, of_block)
-        t, value, of_block = t[near], value[near], of_block[near]
+        near = np.flatnonzero(self._near(t, of_block))
+        of_block = of_block[near]
         first = np.flatnonzero(np.append(True, np.diff(of_block) > 0.0))
-        last = np.append(first[1:], t.size) - 1
-        instant, origin = of_block[first], value[first]
-        d, v = t - of_block, value - np.repeat(origin, last - first + 1)
+        last = np.append(first[1:], near.size) - 1
+        instant, origin = of_block[first], value[near[first]]
+        d, v = t[near] - of_block, value[near] - np.repeat(origin, last - first + 1)
         n = last - first + 1.0
         sum_d, sum_v, sum_dd, sum_dv = (np.add.reduceat(a, first) for a in (d, v, d * d, d * v))
         mean_d, mean_v = sum_d / n, sum_v / n
-        for neighbour in (first - 1, last + 1):
+        for neighbour in (near[first] - 1, near[last] + 1):
             inside = np.clip(neighbour, 0, t.size - 1)
             d, v = t[inside] - instant, value[inside] - origin
             used = (inside == neighbour) & (np.abs(d - mean_d) <= 1.0 / self.rate)

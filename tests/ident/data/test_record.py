@@ -153,6 +153,30 @@ def test_noise_of_a_block_mean_falls_with_the_root_of_its_size() -> None:
     assert psi.std() == pytest.approx(0.1 / np.sqrt(20), rel=0.2)
 
 
+@pytest.mark.parametrize(("rate", "length"), [(5.0, 0.1), (2.0, 0.25), (10.0, 0.1)])
+def test_mean_of_slow_rows_is_over_the_middle_of_their_blocks(rate: float, length: float) -> None:
+    """The mean of a parabola is larger than its value by the variance of time, which grows with the mean's length."""
+    w = channel(rate)
+    fast = channels() | {"psi": channel(1000.0, f=np.square), "a": w, "b": w, "w": w}
+    record = build_record(model(), fast, rate=rate)
+    seen = np.isfinite(record.y[:, 0])
+    excess = (record.y[seen, 0] - record.t[seen] ** 2)[3:-3]
+    np.testing.assert_allclose(excess, length**2 / 12, rtol=0.1)
+
+
+def test_slow_block_without_samples_in_its_middle_has_the_nearest_one() -> None:
+    """The samples of a block are 0.07 s before its middle, and 0.08 s and more after it."""
+    before = np.arange(0.0, 9.6, 0.2) + 0.13
+    t = np.sort(np.concatenate([before, *(before + after for after in (0.15, 0.155, 0.16))]))
+    step = Channel(t, np.where(np.isin(t, before), 1.0, 5.0))
+    w = channel(5.0)
+    record = build_record(model(), {"psi": step, "a": w, "b": w, "w": w}, rate=5.0, t_from=0.0)
+    np.testing.assert_allclose(record.t[np.isfinite(record.y[:, 0])], before + 0.07, atol=1e-9)
+    assert step.value.mean() == 4.0
+    # The line through the nearest sample and its neighbours, 0.05 s before and 0.15 s after it, adds -0.3.
+    np.testing.assert_allclose(record.y[np.isfinite(record.y[:, 0]), 0][1:], 1.0, atol=0.4)
+
+
 def test_mean_of_an_angle_ignores_the_wrap_and_a_missing_sample() -> None:
     """A missing angle costs only its own sample."""
     psi = channel(50.0, f=lambda t: np.mod(3.0 + t + np.pi, 2 * np.pi) - np.pi)
