@@ -312,9 +312,9 @@ def build_record(
         Times [s] of the interval to use, both included. By default the record covers the time in which all signals are
         known.
     rate
-        Rate [Hz] above which a sensor is averaged over blocks of about 1/rate, or thinned to one sample of each block
-        if the model asks for it (`Sensor.averaged`). A slower sensor keeps its own times, and the means are at these
-        times and between them.
+        Rate [Hz] above which a sensor is averaged over blocks of about 1/rate, below 10 Hz over the middle of each
+        block (`mean_length`), or thinned to one sample of each block if the model asks for it (`Sensor.averaged`).
+        A slower sensor keeps its own times, and the means are at these times and between them.
     max_step
         Longest interval between rows [s], by default ``model.max_step`` (0.1 s for most models). Longer intervals get
         additional rows without measurements.

@@ -14,9 +14,9 @@ import numpy as np
 
 from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.model import Model, ModelKind
+from seatrial.ident.models import COARSE_STEP_S
 from seatrial.ident.numerics import Array
 
-COARSE_STEP_S = 0.2  # s: interval of the rows of a slow vehicle
 USUAL_STEP_S = 0.1  # s: models with shorter steps, as those driven by commands, have fast states of their own
 FASTEST = 5.0  # 1/s: largest eigenvalue with which a step of 0.2 s is accurate; its Phi has an error of 3 %
 DIFFERENCE = 1e-4  # of the states, in SI units, for the Jacobian
@@ -60,11 +60,11 @@ def fastest_rate(model: Model, validity: Mapping[str, tuple[float, float]]) -> f
     for j, name in enumerate(moving):
         x[:, names.index(name)] = [c[j] for c in corners]
     x, u = np.repeat(x, len(inputs), axis=0), np.tile(inputs, (len(corners), 1))
-    compiled, values = VectorisedModel(model), np.array([p.value for p in model.parameters])
+    evaluated, values = VectorisedModel(model), np.array([p.value for p in model.parameters])
 
     def rates(at: Array) -> Array:
         """Return the rates of the states (n, n_states) at states ``at`` (n, n_states)."""
-        return compiled.rates(at, u, values)
+        return evaluated.rates(at, u, values)
 
     steps = DIFFERENCE * np.eye(len(names))
     jacobian = np.stack([(rates(x + d) - rates(x - d)) / (2.0 * DIFFERENCE) for d in steps], axis=2)

@@ -26,7 +26,7 @@ from seatrial.ident.export.conditions import (
 from seatrial.ident.export.rates import Rates
 from seatrial.ident.export.state_feedback import HEADING, LEAST_GROWTH, StateFeedback, UnstableSpeeds, lqr
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, is_of_thruster
-from seatrial.ident.models import SHORTEST_LAG
+from seatrial.ident.models import COARSE_STEP_S, SHORTEST_LAG, shortest_lag
 from seatrial.ident.numerics import NOT_SHOWN, STABLE, UNSTABLE, Array, is_undetermined, stability_of
 
 SOLVED = 1e-10  # the same, below which no other start of the search is tried
@@ -47,11 +47,8 @@ STATE_WORDS = {"u": "surge speed", "v": "sway speed", "r": "yaw rate"}
 LARGE_PART = 0.2  # participation of a state in a motion, as a part of the largest one, from which it is named
 MAIN_PART = 0.5  # the same, from which a pole is named after it
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
-SHORTEST_LAGS = (
-    SHORTEST_LAG,
-    0.1,
-    SHORTEST_OWN_LAG,
-)  # shortest time constants of lags [s]; 0.1 in searches of 5 rows per s
+# shortest time constants of the states of lags [s], with usual steps and with the steps of a search
+SHORTEST_LAGS = (SHORTEST_LAG, shortest_lag(COARSE_STEP_S), SHORTEST_OWN_LAG)
 SAME_LAG = 1e-9  # relative difference of a time constant from one of these by rounding
 SPEEDS, HALVINGS = 11, 4  # speeds that are searched for unstable poles, and halvings of the steps at both ends
 STATIC = 1e-6  # poles below this part of the largest one are integrators, which have no corner frequency
@@ -308,7 +305,7 @@ class LinearModel:
 
     @property
     def course_pole(self) -> int | None:
-        """Index in `poles` of the least stable pole of sway and yaw; None if there is none.
+        """Index in `poles` of the least stable pole of sway and yaw. It is None if no pole belongs to them.
 
         A pole belongs to sway and yaw if these states have more than half of its participation factors.
         """
@@ -351,9 +348,9 @@ class LinearModel:
 
     @property
     def stability_text(self) -> str:
-        """Stability in words: that of `stability`, and each motion that does not surely decay, by its states.
+        """Stability in words: the word of `stability`, and the states of each motion that may not decay.
 
-        A motion with a pole of zero stays where it is, such as a heading without a controller.
+        A motion with a pole of zero does not decay: a heading without a controller keeps its error.
         """
         value, share, found = self.stability, self.participation, []
         kinds = zip(self._stability_of_poles, self.poles, self.pole_errors, strict=True)
@@ -716,9 +713,9 @@ class LinearModel:
 
 
 def _numbers(name: str, values: ArrayLike, what: str) -> Array:
-    """Return the values of an argument as an array. Raise SeatrialError if they are not all finite numbers.
+    """Return the values of an argument as an array. Raise SeatrialError if one of them is no finite number.
 
-    The message begins with the ``name`` of the argument, and asks for ``what``, such as ``times [s]``.
+    The message begins with the ``name`` of the argument and says ``what`` it needs, such as ``times [s]``.
     """
     try:
         found = np.asarray(values, dtype=float)

@@ -33,6 +33,7 @@ from .disturbances import sensor_errors_of as sensor_errors_of
 from .disturbances import thrust_losses_of as thrust_losses_of
 from .disturbances import variables_of as variables_of
 from .disturbances import with_disturbances as with_disturbances
+from .horizontal import COARSE_STEP_S as COARSE_STEP_S
 from .horizontal import LONGEST_DELAY as LONGEST_DELAY
 from .horizontal import NOISE as NOISE
 from .horizontal import SENSORS as SENSORS

@@ -90,6 +90,7 @@ MAX_COPY_SHIFT = 20  # largest shift of a copy of a measured input, in steps of 
 # Width of the transition at the end of the dead zone, in units of the command; the parameter is its centre
 DEAD_ZONE_EDGE = 0.05
 SHORTEST_LAG = 0.05  # s: time constants below it are always approximated, see `shortest_lag`
+COARSE_STEP_S = 0.2  # s: interval of the rows in the search of a slow vehicle
 DRIVEN_SHAFT_STEP_S = 0.05  # s: longer Runge-Kutta steps would be inaccurate for a state with the shortest lag
 SHAFT = (
     Parameter("T_n", 0.2, "s", "time constant of the shafts", prior=(0.2, 0.5), bounds=(0.0, 3.0), step=0.02),

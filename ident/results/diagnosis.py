@@ -626,11 +626,10 @@ def _resembling(titles: Sequence[str]) -> str:
 def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     """Return the caveat of a diagnosis: uncertain names of effects, and residuals that are left unexplained.
 
-    For each uncertain name, the first reason is given, and then what can decide it. If the search ended by
-    --max-effects, the number of added effects and the candidates that were not tried are given. Otherwise, if all names
-    are certain and candidates still pass the score test, their number, the strongest, the reason why none was added and
-    what to do are given.
-    The result is None if none of these applies.
+    The text gives the first reason of each uncertain name, and names the experiment that may decide. If the search
+    ended by --max-effects, the text gives the number of added effects and the candidates that were not tried. If all
+    names are certain and candidates still pass the score test, it gives their number, the strongest one, the reason why
+    none was added, and an advice. The result is None if none of these cases applies.
     """
     titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
     doubted = [j for j in diagnosis.attributions if j.attribution == "ambiguous" and j.reasons]

@@ -202,7 +202,7 @@ def _combination(
 def _row(log: FittedLogs, names: Sequence[str], function: Function) -> Row | None:
     """Return the row of a combination from one log.
 
-    The result is None if no parameter of the combination has a standard error, so that the sum has none.
+    The result is None if no parameter of the combination has a standard error.
     """
     values = log.values(names)[0]
     value, gradient = function(values)

@@ -283,9 +283,10 @@ def _paths_beside_mission(out: Path, force: bool) -> dict[str, Path]:
 
 
 def _bounded_track(made: Design) -> tuple[PredictedTrack | None, list[ResultWarning]]:
-    """Return the predicted track of a design, or None with a warning if too many sampled boats have no finite track.
+    """Return the predicted track of a design, and the warnings about it.
 
-    The track is None without a warning if the model has no position.
+    The track is None if the model has no position. It is None too, with a warning, if the tracks of too many sampled
+    boats grow without limit.
     """
     track = predicted_track(made)
     if track is None or track.is_bounded:
@@ -784,7 +785,7 @@ def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[Desig
     chosen, units = _criterion_parameters(made.problem), reported_units(model)
 
     def reported(errors: Mapping[str, float], p: Parameter) -> float | None:
-        """Return the standard error of parameter ``p`` in reported units; None if it is infinite (no information)."""
+        """Return the standard error of a parameter in reported units. The result is None if the error is infinite."""
         return finite(errors[p.name] * units.factor(p.unit))
 
     return tuple(

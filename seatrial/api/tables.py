@@ -393,7 +393,7 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Return ``value``, or NaN in place of None."""
+    """Return a value; the result is NaN if the value is None."""
     return math.nan if value is None else value
 
 
