@@ -533,7 +533,8 @@ def changes(
 @click.option(
     "--rate",
     type=FiniteRange(1.0, 200.0),
-    help="Rows per second; faster sensors are averaged.  [default: 5 for a slow boat, 10 for others, on the bench 50]",
+    help="Rows per second; faster sensors are averaged.  [default: 5 for a slow boat without accelerometers, 10 for "
+    "others, on the bench 50]",
 )
 @trust_option
 @out_option("diagnosis")

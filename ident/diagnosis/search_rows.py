@@ -2,6 +2,9 @@
 
 The time of a search is proportional to the number of integration steps. Steps of 0.2 s are accurate for a vehicle whose
 states change slowly. The means of fast sensors are over 0.1 s in both cases (`seatrial.ident.data.record.mean_length`).
+
+An accelerometer measures the forces themselves, which follow the thrusters at once. With half of its means, a lag of
+the thrust and an error of its scale are no longer distinguished from other effects.
 """
 
 from __future__ import annotations
@@ -28,16 +31,18 @@ def rows_of_search(model: Model, validity: Mapping[str, tuple[float, float]], us
     Parameters
     ----------
     model
-        The fitted model. It is unchanged, and the rate the usual one, if it is no slow vehicle.
+        The fitted model. It is unchanged, and the rate the usual one, if it is no slow vehicle or has accelerometers.
     validity
         Range of each state and input in the data of the fit (low, high), by name. If it is empty, the rows are the
         usual ones.
     usual_rate
         Rate of the rows for this kind of model [Hz].
     """
+    has_accelerometers = any(output.unit == "m/s2" for sensor in model.sensors for output in sensor.outputs)
     slow = (
         model.kind is ModelKind.VEHICLE
         and bool(validity)
+        and not has_accelerometers
         and np.isclose(model.max_step, USUAL_STEP_S)
         and fastest_rate(model, validity) <= FASTEST
     )

@@ -71,8 +71,8 @@ class DiagnosisRequest:
         For a vehicle model: file of the static thrust curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several. None: no curve, and the only thruster.
     rate
-        Rate of the rows [Hz] over which faster sensors are averaged. None: 5 Hz for a slow vehicle (`rows_of_search`),
-        10 Hz for others, 50 Hz for a thruster model.
+        Rate of the rows [Hz] over which faster sensors are averaged. None: 5 Hz for a slow vehicle without
+        accelerometers (`rows_of_search`), 10 Hz for others, 50 Hz for a thruster model.
     despite_faults
         Whether to search even if the checks find faults that make a fit meaningless.
     window

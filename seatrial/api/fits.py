@@ -156,8 +156,8 @@ class DiagnosisOptions(TypedDict, total=False):
     horizon : float
         Horizon [s] of the predictions with which the models are evaluated; by default 10 s, for a thruster 1 s.
     rate : float
-        Rate of the rows [Hz] to which faster sensors are averaged; by default 5 Hz for a slow boat, 10 Hz for others,
-        and 50 Hz for a thruster.
+        Rate of the rows [Hz] to which faster sensors are averaged; by default 5 Hz for a slow boat without
+        accelerometers, 10 Hz for others, and 50 Hz for a thruster.
     despite_faults : bool
         Whether to search in logs with faults that make a fit meaningless, False by default.
     progress : bool

@@ -15,6 +15,7 @@ ROW = {
     "found": [["wind", "identified"]],
     "ratio": [0.5, 0.4, 0.612],
     "cpu": [20.4, 61.0],
+    "cpu_again": 30.4,
     "slowness": 2.0,
 }
 
@@ -28,6 +29,7 @@ def test_line_of_a_boat_has_the_answer_and_the_errors_of_the_masses() -> None:
         "0.50 (0.40 to 0.61)",
         *masses,
         "20 + 61",
+        "30",
     ]
     assert line(ROW) == "asv1-none: wind identified (81 s)"
     failed = {"key": "b", "hidden": "wind", "code": "0", "error": "RuntimeError: no"}

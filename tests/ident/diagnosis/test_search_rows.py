@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +16,12 @@ from seatrial.ident.models import first_order, horizontal_model, surge_model
 RANGES = {"u": (-0.5, 1.0), "v": (-0.2, 0.2), "r": (-0.4, 0.4), "n_left": (-1.0, 1.0), "n_right": (-1.0, 1.0)}
 
 
-def boat(m_r: float = 6.0) -> Model:
-    """Return a shaft model with a moment of inertia in yaw [kg m2]."""
-    model = horizontal_model("shaft")
+SENSORS = ("attitude", "gyro", "position")
+
+
+def boat(m_r: float = 6.0, sensors: Sequence[str] = SENSORS) -> Model:
+    """Return a shaft model with a moment of inertia in yaw [kg m2] and sensors."""
+    model = horizontal_model("shaft", sensors)
     return model.replace_parameters(replace(model.parameter("m_r"), value=m_r))
 
 
@@ -30,6 +34,11 @@ def test_quick_vehicle_and_unknown_ranges_keep_the_usual_rows() -> None:
     assert fastest_rate(boat(0.1), RANGES) > 5.0
     for model, ranges in ((boat(0.1), RANGES), (boat(), {}), (horizontal_model("command"), RANGES)):
         assert rows_of_search(model, ranges, 10.0) == (model, 10.0)
+
+
+def test_model_with_accelerometers_keeps_the_usual_rows() -> None:
+    model = boat(sensors=(*SENSORS, "accelerometer"))
+    assert rows_of_search(model, RANGES, 10.0) == (model, 10.0)
 
 
 def test_fastest_rate_is_that_of_the_drag_at_the_largest_speed() -> None:
