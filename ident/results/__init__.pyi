@@ -27,6 +27,7 @@ from .campaigns import CombinationDifference as CombinationDifference
 from .campaigns import CommonFactor as CommonFactor
 from .campaigns import Difference as Difference
 from .campaigns import EffectDifference as EffectDifference
+from .campaigns import Family as Family
 from .campaigns import JointTest as JointTest
 from .campaigns import LogEstimate as LogEstimate
 from .campaigns import NotCompared as NotCompared

@@ -22,6 +22,9 @@ MUCH_WORSE = 1.5
 POSITIONS = ("x", "y")
 JOINT_LEVEL = 0.05  # significance level of the joint test
 AGREE, DIFFER = 2.0, 3.0  # standard errors up to which two sizes agree, and from which they differ
+# Parameters whose q values are adjusted together: those of the boat, those of sensors, wind and other surroundings, and
+# those of noise and disturbances
+Family = Literal["boat", "surroundings", "noise"]
 NotComparedCode = Literal[
     "fixed", "per-log", "in-some-models", "position", "at-bound", "vague", "undetermined", "mainly-prior", "other"
 ]
@@ -73,8 +76,8 @@ class Difference(Part, frozen=True, kw_only=True):
     q: Annotated[
         float | None,
         Meta(
-            description="p value adjusted for the number of parameters and combinations (Benjamini and Hochberg); "
-            "null as `p`"
+            description="p value adjusted for the number of parameters and combinations of its family (Benjamini and "
+            "Hochberg); null as `p`"
         ),
     ]
     changed: Annotated[bool, Meta(description="verdict: `q` is at most the false discovery rate")]
@@ -94,11 +97,16 @@ class ParameterDifference(Difference, frozen=True, kw_only=True):
     effect: Annotated[str | None, Meta(description="effect of the parameter; null: the model itself")]
     nuisance: Annotated[
         bool,
-        Meta(
-            description="parameter of noise, of a disturbance or of an offset of a sensor, not of the boat; such "
-            "parameters have q values of their own"
-        ),
+        Meta(description="parameter of noise, of a disturbance or of an offset of a sensor, not of the boat"),
     ]
+    family: Annotated[
+        Family,
+        Meta(
+            description="parameters with which the q value is adjusted: `boat` (hull and thrust, and combinations), "
+            "`surroundings` (effects of sensors, wind and other surroundings), or `noise` (noise, disturbances and "
+            "offsets of sensors); `boat` in a result of an earlier version"
+        ),
+    ] = "boat"
 
 
 class CombinationDifference(Difference, frozen=True, kw_only=True):
@@ -290,7 +298,14 @@ def campaigns_answer(result: CampaignsResult) -> str:
     only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
     if only:
         sentences.append(f"Effects of one campaign: {', '.join(only)}.")
+    own = [e.verdict for e in result.errors if e.logs == "after" and e.values == "after"]
     sentences += filter(None, (_errors_sentence(result), _unexplained_sentence(result), _model_sentence(result)))
+    if tested and not changed and not result.changed_combinations and "fell" in own:
+        nearest = min((d for d in (*tested, *result.combinations) if d.p is not None), key=lambda d: d.p or 0.0)
+        sentences.append(
+            "So something has changed that these logs do not assign to a parameter. The smallest p value: "
+            f"{_nearest_text(nearest)}. Take more logs of each campaign."
+        )
     # The changes of a model that lacks an effect may stand for this effect, so that this sentence comes first.
     return " ".join(filter(None, (_worse_predicted_sentence(result), *sentences)))
 
@@ -307,7 +322,7 @@ def _changed_subject(n_changed: int, n_tested: int, result: CampaignsResult) -> 
     return f"{of_them} and {together} have"
 
 
-def _combination_text(c: CombinationDifference) -> str:
+def _combination_text(c: Difference) -> str:
     """Return a changed combination in words, with its 95 % interval: ``the drag at 1 m/s has grown by 51 % (...)``."""
     low, high, sign = c.low or 0.0, c.high or 0.0, math.copysign(1.0, c.difference)
     verb = "grown" if sign > 0.0 else "fallen"
@@ -318,6 +333,12 @@ def _combination_text(c: CombinationDifference) -> str:
     scale = 100.0 / c.before.mean
     least, most = (f"{scale * end:.0f}" for end in ends)
     return f"the {c.meaning} has {verb} by {100.0 * abs(c.relative):.0f} % (95 %: {least} to {most} %)"
+
+
+def _nearest_text(d: Difference) -> str:
+    """Return a difference that is no change, with its p value: ``d_uu +31 % (95 %: -4 to +66 %), p = 0.07 (...)``."""
+    words = _change_text(d) if isinstance(d, ParameterDifference) else _combination_text(d)
+    return f"{words}, p = {d.p or 0.0:.2g} ({d.q or 0.0:.2g} adjusted for the number of tests)"
 
 
 def _load_sentence(changed: Sequence[ParameterDifference]) -> str:

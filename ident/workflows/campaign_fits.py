@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -26,7 +26,9 @@ from seatrial.ident.results import (
     CampaignMean,
     CombinationDifference,
     CommonFactor,
+    Difference,
     EffectDifference,
+    Family,
     JointTest,
     LogEstimate,
     NotCompared,
@@ -88,7 +90,7 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
     found, without = combinations_of(fitted, reasons)
     every = _with_combinations(fitted, found)
     differences = {name: _difference(every, name) for name in (*names, *(c.name for c in found))}
-    tests = _tests(differences, {n for n in names if fitted.rows[0][n]["nuisance"]}, false_discovery_rate)
+    tests = _tests(differences, {n: _family(fitted.rows[0][n]) for n in names}, false_discovery_rate)
     parameters = tuple(_parameter(fitted, n, differences[n], tests[n]) for n in names)
     combinations = tuple(
         CombinationDifference(parameters=c.parameters, **_compared(every, c.name, differences[c.name], tests[c.name]))
@@ -109,7 +111,7 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
     )
     return Comparison(
         parameters, combinations, (*not_compared, *without), _effects(fitted, parameters, differences), joint,
-        _common_factor(fitted, parameters, scatter), scatter, _notes(fitted, parameters),
+        _common_factor(fitted, parameters, scatter), scatter, _notes(fitted, parameters, combinations),
     )  # fmt: skip
 
 
@@ -178,20 +180,28 @@ def _with_combinations(fitted: FittedLogs, combinations: Sequence[Combination]) 
     return FittedLogs(fitted.logs, fitted.after, tuple(rows))
 
 
+def _family(row: Row) -> Family:
+    """Return the family of a parameter, from its row of one log."""
+    effect = catalogue().get(row["effect"] or "")
+    if row["nuisance"]:
+        return "noise"
+    return "surroundings" if effect is not None and effect.place in ("sensor", "environment") else "boat"
+
+
 def _tests(
-    differences: Mapping[str, CampaignDifference], of_sensors: Collection[str], false_discovery_rate: float
+    differences: Mapping[str, CampaignDifference], families: Mapping[str, Family], false_discovery_rate: float
 ) -> dict[str, _Test]:
     """Return the test of each parameter and combination (Benjamini and Hochberg 1995).
 
-    ``of_sensors`` has the names of the parameters of noise, disturbances and sensors. They are adjusted among
-    themselves, so that a boat with many sensors shows a change as well as one with few.
+    ``families`` has the family of each parameter; combinations are of the boat. The parameters of a family are adjusted
+    among themselves, so that a boat with many sensors shows a change as well as one with few.
     """
     found = dict.fromkeys(differences, _Test())
-    for nuisance in (False, True):
+    for kind in get_args(Family):
         family = {
             n: d.difference.p
             for n, d in differences.items()
-            if (n in of_sensors) is nuisance and np.isfinite(d.difference.p)
+            if families.get(n, "boat") == kind and np.isfinite(d.difference.p)
         }
         if not family:
             continue
@@ -229,7 +239,7 @@ def _parameter(fitted: FittedLogs, name: str, found: CampaignDifference, test: _
     """Return the entry of the result for one compared parameter."""
     row = next(r[name] for r in fitted.part(fitted.known(name)).rows)
     return ParameterDifference(
-        effect=row["effect"], nuisance=row["nuisance"], **_compared(fitted, name, found, test)
+        effect=row["effect"], nuisance=row["nuisance"], family=_family(row), **_compared(fitted, name, found, test)
     )  # fmt: skip
 
 
@@ -366,7 +376,9 @@ def _common_factor(
     )  # fmt: skip
 
 
-def _notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference]) -> tuple[str, ...]:
+def _notes(
+    fitted: FittedLogs, parameters: Sequence[ParameterDifference], combinations: Sequence[CombinationDifference]
+) -> tuple[str, ...]:
     """Return remarks on what the comparison assumes, and on logs that were left out of single parameters."""
     priors = {p for rows in fitted.rows for r in rows.values() for p in json.loads(r["prior_parts"] or "{}")}
     held = sorted(priors - {p.name for p in parameters} - {SIDES})
@@ -394,17 +406,18 @@ def _notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference]) -> tup
         for p in parameters
         if p.before.n + p.after.n < len(fitted.logs)
     ]
-    return (*notes, *_few_logs_notes(fitted, parameters))
+    return (*notes, *_few_logs_notes(fitted, [*combinations, *(p for p in parameters if not p.nuisance)]))
 
 
-def _few_logs_notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference]) -> list[str]:
+def _few_logs_notes(fitted: FittedLogs, compared: Sequence[Difference]) -> list[str]:
     """Return the note on differences that are no changes only because few logs make the intervals wide.
 
     They are larger than their standard error. The note says from which size on they would be changes, and how far more
-    logs narrow the intervals. It is left out with more than `FEW_LOGS` logs.
+    logs narrow the intervals. It is left out with more than `FEW_LOGS` logs. ``compared`` has the parameters of the
+    boat, its surroundings and the combinations.
     """
     n, n_after = len(fitted.logs), int(fitted.after.sum())
-    missed = [p for p in parameters if not (p.nuisance or p.changed) and p.detectable and abs(p.difference) > p.se]
+    missed = [p for p in compared if not p.changed and p.detectable and abs(p.difference) > p.se]
     if n > FEW_LOGS or n < 3 or not missed:
         return []
     missed.sort(key=lambda p: -abs(p.difference) / p.se)
@@ -419,7 +432,7 @@ def _few_logs_notes(fitted: FittedLogs, parameters: Sequence[ParameterDifference
     ]
 
 
-def _missed_text(p: ParameterDifference) -> str:
+def _missed_text(p: Difference) -> str:
     """Return a difference and the size from which on it would be a change: ``d_u +52 % (from 180 % on)``."""
     detectable = p.detectable or 0.0
     if p.relative is None:

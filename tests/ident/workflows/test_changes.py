@@ -384,6 +384,23 @@ def test_false_discovery_rate_is_held() -> None:
     assert np.mean(power) > 0.9
 
 
+def test_sensors_and_surroundings_do_not_hide_a_change_of_the_boat() -> None:
+    """A difference of the boat with p = 0.004 has the same q value with fifteen parameters of sensors and of wind."""
+    rng = np.random.default_rng(8)
+    values = {f"p{j}": 5.0 + 0.1 * rng.normal(size=6) for j in range(3)}
+    values["p0"][3:] += 0.35
+    sensors = {f"s{j}": 5.0 + 0.1 * rng.normal(size=6) for j in range(12)}
+    wind = {f"w{j}": 5.0 + 0.1 * rng.normal(size=6) for j in range(3)}
+    effects = {"effect": dict.fromkeys(sensors, "compass") | dict.fromkeys(wind, "wind")}
+    alone = {p.name: p for p in compared(rows_of(values), 3).parameters}
+    beside = {p.name: p for p in compared(rows_of(values | sensors | wind, **effects), 3).parameters}
+    assert 0.002 < (alone["p0"].p or 0.0) < 0.01
+    assert beside["p0"].changed
+    assert [beside[n].q for n in values] == [alone[n].q for n in values]
+    assert {p.family for p in beside.values()} == {"boat", "surroundings"}
+    assert {p.name for p in beside.values() if p.family == "boat"} == set(values)
+
+
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_a_difference_has_changed_if_it_is_at_least_the_detectable_one(n: int) -> None:
     """One parameter at a time gets a difference on both sides of the limit, with the others as they are."""
@@ -796,6 +813,20 @@ def test_changes_that_do_not_explain_all_are_told_with_what_to_do(with_changes: 
     words = "These changes do not explain all: the error of x 10 s ahead is 0.61 m with them, and 0.17 m with all"
     assert (words in answer) is told
     assert ("(--effect NAME); `seatrial ident diagnose` on the logs after looks for it." in answer) is told
+
+
+@pytest.mark.parametrize(("verdict", "told"), [("fell", True), ("unchanged", False)])
+def test_better_prediction_without_a_changed_parameter_is_told_with_the_nearest_one(verdict: Any, told: bool) -> None:
+    found = compared(
+        rows_of({"d_uu": np.array([20.0, 20.6, 21.9, 22.4]), "m_u": np.array([40.0, 41.0, 40.5, 40.2])}), 2
+    )
+    assert not any(p.changed for p in found.parameters)
+    own = CampaignErrors(logs="after", values="after", channels={}, ratio=0.85, low=0.8, high=0.9, verdict=verdict)
+    answer = campaigns_answer(result_of(found, (own,)))
+    words = (
+        "So something has changed that these logs do not assign to a parameter. The smallest p value: d_uu +9 % (95 %: "
+    )
+    assert (words in answer) is told
 
 
 def result_of(found: Comparison, errors: tuple[CampaignErrors, ...] = ()) -> CampaignsResult:
