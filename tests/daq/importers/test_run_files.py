@@ -101,6 +101,20 @@ def test_several_folders_are_runs_of_one_map_and_of_one_scale(tmp_path: Path) ->
         assert_has_all_signals(log)
 
 
+def test_an_interval_of_a_map_with_several_files_may_name_its_run(tmp_path: Path) -> None:
+    folders = [run_of_files(tmp_path / f"run{k}", 0.0) for k in (1, 2)]
+    guessed = guess_maps(folders)[0].text
+    pieces = [f'[[log]]\nname = "{n}"\nmatch = "{m}"\nt_from = {a}\n' for n, m, a in (("a", "run1", 2), ("b", "*2", 4))]
+    (map_path := tmp_path / "map.toml").write_text(guessed + "".join(pieces))
+    logs = import_files(map_path, folders, out_dir=tmp_path / "logs")
+    assert [log.name for log in logs] == ["run1_a.mcap", "run2_b.mcap"]
+    assert [values(log, "psi")[0][0] for log in logs] == pytest.approx([2.0, 4.0])
+    map_path.write_text(guessed + pieces[0].replace("run1", "*_a"))
+    with pytest.warns(SeatrialWarning, match=r"\[\[log\]\] match = '\*_a' matches none of the given files or folders"):
+        logs = import_files(map_path, folders, out_dir=tmp_path / "whole")
+    assert [log.name for log in logs] == ["run1.mcap", "run2.mcap"]
+
+
 def test_the_python_interface_takes_folders(tmp_path: Path) -> None:
     folders = [run_of_files(tmp_path / f"run{k}", START + 100.0 * k, full=400.0) for k in (1, 2)]
     text = st.guess_map(folders, tmp_path / "map.toml")
