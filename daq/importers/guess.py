@@ -11,6 +11,7 @@ import json
 import os
 import re
 import shlex
+import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -560,14 +561,15 @@ def _with_full_speed(candidate: Candidate, full: Mapping[str, float], known: Map
 def _with_speeds_of_commands(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Scale measured shaft speeds so that the largest of them belongs to the largest command of the source.
 
-    A shaft is assumed to follow its command. Commands of which the largest is below 0.3, and those that are not between
-    -1 and 1 in the source, change nothing.
+    A shaft is assumed to follow its command, which may be a number from -1 to 1, per cent or a pulse. Commands of which
+    the largest is below 0.3 or reaches 1, and those whose own scale is guessed from their largest number, change
+    nothing.
     """
     commands = [
-        np.nanmax(np.abs(c.table.numbers(s.columns[0])), initial=0.0)
+        np.nanmax(np.abs(_as_imported(s, c.table.numbers(s.columns[0]))), initial=0.0)
         for c in candidates
         for s in c.signals
-        if s.name.startswith("n_cmd_") and s.unit == "1" and not s.full and "scale" not in s.extra
+        if s.name.startswith("n_cmd_") and not s.full
     ]
     largest = max(commands, default=0.0)
     if not LEAST_LARGEST_COMMAND <= largest < 1.0:
@@ -583,6 +585,16 @@ def _with_speeds_of_commands(candidates: Sequence[Candidate]) -> list[Candidate]
         )
         for c in candidates
     ]
+
+
+def _as_imported(signal: MapSignal, cells: Column) -> Column:
+    """Return the values of a signal of one column in SI units, as an import of its cells (n,) by the map gives them.
+
+    Cells that mark a missing value become NaN.
+    """
+    keys = tomllib.loads(f"keys = {{ {signal.extra} }}")["keys"]
+    known = np.where(cells == keys.get("missing", np.nan), np.nan, cells)
+    return np.asarray((keys.get("scale", 1.0) * known + keys.get("offset", 0.0)) * UNITS[signal.unit][1])
 
 
 def _with_resting_pulses(candidates: Sequence[Candidate]) -> list[Candidate]:
