@@ -70,6 +70,8 @@ from seatrial.daq.importers.units import UNITS
 from seatrial.daq.log import LOG_FORMAT, open_log
 
 THRUSTERS = ("drive", "command")  # groups of commands and shaft speeds
+EFFORT = "effort"  # word of the columns with the efforts of joints (JointState)
+COMMAND_WORDS = {"cmd", "cmds", "command", "commands"}  # in the topic of commands to joints
 PAIRS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right"), ("f_left", "f_right")
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # units of surge force and yaw moment, by their SNAME letters
@@ -813,21 +815,66 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
                 caveat = "" if unit == stated else f"{letter} is assumed to be the {LETTERS[letter]} in {unit}"
                 yield Candidate("force", 1, table, (MapSignal(letter, (column,), unit, "", 'role = "input"'),), caveat)
             continue
-        found = drive(words, together.get(quantity(words), values), name.unit) if np.isfinite(values).any() else None
-        if (
-            found is not None
-            and (not name.meaning or "velocity" in words)
-            and (message != "JointState" or "velocity" in words)
-        ):
+        both = together.get(quantity(words), values)
+        is_joint = message == "JointState"
+        if is_joint and EFFORT in words:
+            if (effort := _effort_of_joint(words, values, both)) is not None:
+                group, taken, caveat, rank = effort
+                yield Candidate(group, rank, table, (taken._replace(columns=(column,)),), caveat, quantity(words))
+            continue
+        found = drive(words, both, name.unit) if np.isfinite(values).any() else None
+        if found is not None and (not name.meaning or "velocity" in words) and (not is_joint or "velocity" in words):
             group, taken, caveat = found
             taken, hold_caveat = _with_hold(taken, row_seconds(table, clocks[id(table)]), values, words)
             caveat = "; ".join(part for part in (caveat, hold_caveat) if part)
-            behind = (message == "JointState") + bool(words & SET_POINTS)
+            behind = is_joint + 2 * (is_joint and not _varies(values)) + bool(words & SET_POINTS)
             signals = (taken._replace(columns=(column,)),)
             yield Candidate(group, behind, table, signals, caveat, quantity(words))
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
     yield from _motion_candidates(table, row_seconds(table, clocks[id(table)]), names, numbers)
+
+
+def _varies(values: Column) -> bool:
+    """Return whether the finite numbers among values (n,) differ."""
+    known = values[np.isfinite(values)]
+    return known.size > 0 and bool(np.ptp(known) > 0.0)
+
+
+def _effort_of_joint(words: frozenset[str], values: Column, both: Column) -> tuple[str, MapSignal, str, int] | None:
+    """Return the group, the signal without its column, the caveat and the rank of the effort of a thruster's joint.
+
+    Parameters
+    ----------
+    words
+        Words of the names of joint and topic.
+    values
+        Efforts of the joint (n,).
+    both
+        Efforts of the joints of both sides, which get the same scale.
+
+    Returns
+    -------
+    tuple or None
+        In a topic of commands, such as /thrusters/command, the effort is a command, ranked behind velocities that vary.
+        In other topics, a force that is not chosen: ROS has no rule for the effort of a thruster. None if the joint is
+        not that of a thruster, or if its effort does not vary.
+    """
+    of_thruster = words - {EFFORT}
+    if not drive_words(of_thruster) or not _varies(values):
+        return None
+    is_command = bool(of_thruster & COMMAND_WORDS)
+    found = drive(of_thruster, both, "" if is_command else "N")
+    if found is None:
+        return None
+    group, signal, caveat = found
+    text = "the effort of a joint in a topic of commands is assumed to be the command"
+    if not is_command:
+        text = (
+            f"effort of a joint: {signal.name} in N if it is the thrust; give it the name of a command (n_left) and "
+            "`scale` if it is one; the torque of a shaft is no input"
+        )
+    return group, signal, "; ".join(filter(None, (text, caveat))), 2 if is_command else UNCHOSEN_RANK
 
 
 def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozenset[str]) -> tuple[MapSignal, str]:
@@ -1219,7 +1266,8 @@ def _chosen_signals(
 
     quantities: dict[str, frozenset[str]] = {}  # quantity of the chosen thrusters, by group
     taken: dict[str, MapSignal] = {}
-    has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
+    usable = [c for c in candidates if c.rank < UNCHOSEN_RANK]
+    has_force = any(s.name in ("f_left", "f_right") for c in usable for s in c.signals)
     found = _SignalLines({}, [])
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
@@ -1283,16 +1331,19 @@ def _unrecognised_columns(
     """Return the columns that were not recognised, each with its table.
 
     Columns of text, of times, and without a finite value are left out. So are tables with a type of messages, except
-    single numbers (Float64, Float32) and messages of a DBC. The list is empty if all columns were recognised. `clocks`
-    has the time column of each table, by the id of the table.
+    single numbers (Float64, Float32), messages of a DBC, and efforts of joints (JointState) that vary. The list is
+    empty if all columns were recognised. `clocks` has the time column of each table, by the id of the table.
     """
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     found = []
     for table in tables:
-        if table.kind and table.kind.rpartition("/")[2] not in ("Float64", "Float32", "dbc"):
+        message = table.kind.rpartition("/")[2]
+        if message not in ("", "Float64", "Float32", "dbc", "JointState"):
             continue
         for column in table.names:
             if not column or (id(table), column) in used or column == clocks[id(table)].column:
+                continue
+            if message == "JointState" and not (column.startswith(EFFORT) and _varies(table.numbers(column))):
                 continue
             try:
                 values = table.numbers(column)
