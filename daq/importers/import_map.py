@@ -218,7 +218,8 @@ class ImportMap:
     pieces : tuple of Piece
         Intervals of time that become logs; empty for one log of the whole time.
     vehicle : dict
-        Known numbers of the boat by name, as `y_left` [m] or `c1` [N], and their standard uncertainties (`NAME_sd`).
+        Known numbers of the boat by name, as `y_left` [m], `c1` or `ahead` [N], and their standard uncertainties
+        (`NAME_sd`).
     """
 
     name: str
