@@ -89,6 +89,7 @@ _NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # only the topic names the quantity
 LEAST_LARGEST_COMMAND = 0.3  # of a source, from which its largest shaft speed shows full speed
 MOST_NAMED = 3  # files of a shared map that its first line names
+MOST_KEPT_BYTES = 100_000_000  # of the files whose tables a guess keeps; as text, they are several times as large
 MOST_LISTED = 12  # columns that were not recognised and are listed as comments
 UNKNOWN_CDEG = 65535  # an unknown heading in MAVLink (hdg)
 SHARES_OF_FULL = (0.2, 1.5)  # of a given number at full speed: usual sizes of the largest number of a source
@@ -135,8 +136,8 @@ class _Sources(NamedTuple):
         Files and folders that the user gave.
     runs : sequence of RunFiles
         Runs that they have.
-    dbc : Path or None
-        Database of the messages of a CAN log.
+    reader : _Reader
+        Reader of the files.
     folder : Path or None
         Folder in which the map will be stored; None for the current folder.
     known : dict of str to float
@@ -147,7 +148,7 @@ class _Sources(NamedTuple):
 
     paths: Sequence[Path]
     runs: Sequence[RunFiles]
-    dbc: Path | None
+    reader: _Reader
     folder: Path | None
     known: Mapping[str, float]
     assumed: Sequence[str]
@@ -216,19 +217,19 @@ def guess_maps(
         As of `guess_map`, or if no file of a folder can be read. A name in ``known`` that no source has as a signal
         with a guessed scale is an error too (UnknownName).
     """
-    known = known or {}
+    known, reader = known or {}, _Reader(dbc)
     if len(paths) == 1 and not is_run_folder(paths[0]):
         require_sources(paths)
         runs, assumed = [_run_of_file(paths[0])], list[str]()
     else:
-        runs, assumed = find_runs(paths, lambda path: _outline(path, dbc))
+        runs, assumed = find_runs(paths, lambda path: _outline(reader.read(path)))
     of_first = set(runs[0].kinds)
     assumed += [
         f"{run.source}: has other columns than {runs[0].source}, so this map is not for it; guess its map alone"
         for run in runs
         if not of_first & set(run.kinds)
     ]
-    sources = _Sources(paths, runs, dbc, folder, known, assumed)
+    sources = _Sources(paths, runs, reader, folder, known, assumed)
     found = [_guess_of_run(run, sources) for run in runs]
     scaled = dict.fromkeys(name for guess in found for name in guess.full)
     if unknown := [name for name in known if name not in scaled]:
@@ -268,7 +269,7 @@ def guess_map(path: Path, dbc: Path | None = None) -> Guess:
         comma as delimiter and as decimal mark; also if `dbc` is given for a source that is no CAN log.
     """
     run = _run_of_file(path)
-    return _guess_of_run(run, _Sources((path,), (run,), dbc, None, {}, ()))
+    return _guess_of_run(run, _Sources((path,), (run,), _Reader(dbc), None, {}, ()))
 
 
 def _run_of_file(path: Path) -> RunFiles:
@@ -276,9 +277,8 @@ def _run_of_file(path: Path) -> RunFiles:
     return RunFiles(path.stem, (path,), (0,), path)
 
 
-def _outline(path: Path, dbc: Path | None) -> FileOutline:
-    """Return the columns and the times of a source file, read with the database `dbc` if it is a CAN log."""
-    file = _read_file(path, dbc)
+def _outline(file: _ReadFile) -> FileOutline:
+    """Return the columns and the times of a source file."""
     columns, times = set[tuple[str, str]](), list[Column]()
     for table in file.tables:
         clock = clock_of(table)
@@ -287,7 +287,38 @@ def _outline(path: Path, dbc: Path | None) -> FileOutline:
         if t is not None and np.isfinite(t).any():
             times.append(t[np.isfinite(t)])
     span = (min(float(t.min()) for t in times), max(float(t.max()) for t in times)) if times else None
-    return FileOutline(path, frozenset(columns), span)
+    return FileOutline(file.path, frozenset(columns), span)
+
+
+class _Reader:
+    """Reader of the source files of one guess, which keeps the tables of files up to 100 MB in all.
+
+    The runs, the signals and the common scale of several files need the same tables.
+
+    Parameters
+    ----------
+    dbc
+        Database of the messages of CAN logs; None without one.
+    """
+
+    def __init__(self, dbc: Path | None) -> None:
+        """Begin without files."""
+        self.dbc = dbc
+        self._kept: dict[Path, _ReadFile] = {}
+        self._free = MOST_KEPT_BYTES
+
+    def read(self, path: Path) -> _ReadFile:
+        """Return the tables of a source file. Raise SeatrialError as `guess_map` does."""
+        if path in self._kept:
+            return self._kept[path]
+        file = _read_file(path, self.dbc)
+        parts = path.rglob("*") if path.is_dir() else [path]
+        size = sum(part.stat().st_size for part in parts if part.is_file())
+        # The first files are kept. All files are read in turn, so that the latest ones would never be found again.
+        if size <= self._free:
+            self._kept[path] = file
+            self._free -= size
+        return file
 
 
 def _read_file(path: Path, dbc: Path | None) -> _ReadFile:
@@ -315,9 +346,9 @@ def _guess_of_run(run: RunFiles, sources: _Sources, full: Mapping[str, float] | 
     ``full`` has the number of the source that becomes 1, by signal, for signals whose scale is guessed from numbers.
     Other signals, and all signals by default, have their largest number in this run.
     """
-    if sources.dbc is not None and not any(source_kind(path).name == "can" for path in run.paths):
+    if sources.reader.dbc is not None and not any(source_kind(path).name == "can" for path in run.paths):
         raise SeatrialError(f"{run.source}: is not a CAN log (candump, .asc, .blf); leave out --dbc")
-    files = [_read_file(path, sources.dbc) for path in run.paths]
+    files = [sources.reader.read(path) for path in run.paths]
     # the parameters of an autopilot are those of the first table
     tables = sorted((table for file in files for table in file.tables), key=lambda table: not table.parameters)
     clocks = {id(table): clock_of(table) for table in tables}
