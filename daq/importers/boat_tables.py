@@ -82,8 +82,9 @@ def geometry_of(table: TomlTable | None) -> dict[str, float]:
 def thrust_of(table: TomlTable | None) -> dict[str, float]:
     """Return c1, c2 and their standard uncertainties [N] by the table [scale]; empty without the table.
 
-    With thrusts ahead and astern, c1 is their mean and c2 half of ahead less astern. Without the thrust astern, that
-    ahead is c1 and there is no c2. Raise SeatrialError if a number is impossible, or if the table has both forms.
+    With thrusts ahead and astern, c1 is their mean and c2 half of ahead less astern. Without the thrust astern, the
+    result has ``ahead`` (and ``ahead_sd``), from which a fit determines c1 and c2. Raise SeatrialError if a number is
+    impossible, or if the table has both forms.
     """
     if table is None or not any(table.has(key) for key in _with_sd(PULLS)):
         return _boat_numbers(table, SCALE)
@@ -94,7 +95,7 @@ def thrust_of(table: TomlTable | None) -> dict[str, float]:
         raise table.error("ahead", "missing; give the thrust of one thruster at full speed ahead too")
     pulls = _boat_numbers(table, PULLS)
     if "astern" not in pulls:
-        return {key.replace("ahead", "c1"): number for key, number in pulls.items()}
+        return pulls
     ahead, astern = (pulls[name] for name in PULLS)
     sds = [pulls[key] for key in ("ahead_sd", "astern_sd") if key in pulls]
     if len(sds) == 1:

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import shlex
+import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -69,6 +70,8 @@ from seatrial.daq.importers.units import UNITS
 from seatrial.daq.log import LOG_FORMAT, open_log
 
 THRUSTERS = ("drive", "command")  # groups of commands and shaft speeds
+EFFORT = "effort"  # word of the columns with the efforts of joints (JointState)
+COMMAND_WORDS = {"cmd", "cmds", "command", "commands"}  # in the topic of commands to joints
 PAIRS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right"), ("f_left", "f_right")
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # units of surge force and yaw moment, by their SNAME letters
@@ -86,6 +89,7 @@ _NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # only the topic names the quantity
 LEAST_LARGEST_COMMAND = 0.3  # of a source, from which its largest shaft speed shows full speed
 MOST_NAMED = 3  # files of a shared map that its first line names
+MOST_KEPT_BYTES = 100_000_000  # of the files whose tables a guess keeps; as text, they are several times as large
 MOST_LISTED = 12  # columns that were not recognised and are listed as comments
 UNKNOWN_CDEG = 65535  # an unknown heading in MAVLink (hdg)
 SHARES_OF_FULL = (0.2, 1.5)  # of a given number at full speed: usual sizes of the largest number of a source
@@ -132,8 +136,8 @@ class _Sources(NamedTuple):
         Files and folders that the user gave.
     runs : sequence of RunFiles
         Runs that they have.
-    dbc : Path or None
-        Database of the messages of a CAN log.
+    reader : _Reader
+        Reader of the files.
     folder : Path or None
         Folder in which the map will be stored; None for the current folder.
     known : dict of str to float
@@ -144,7 +148,7 @@ class _Sources(NamedTuple):
 
     paths: Sequence[Path]
     runs: Sequence[RunFiles]
-    dbc: Path | None
+    reader: _Reader
     folder: Path | None
     known: Mapping[str, float]
     assumed: Sequence[str]
@@ -213,19 +217,19 @@ def guess_maps(
         As of `guess_map`, or if no file of a folder can be read. A name in ``known`` that no source has as a signal
         with a guessed scale is an error too (UnknownName).
     """
-    known = known or {}
+    known, reader = known or {}, _Reader(dbc)
     if len(paths) == 1 and not is_run_folder(paths[0]):
         require_sources(paths)
         runs, assumed = [_run_of_file(paths[0])], list[str]()
     else:
-        runs, assumed = find_runs(paths, lambda path: _outline(path, dbc))
+        runs, assumed = find_runs(paths, lambda path: _outline(reader.read(path)))
     of_first = set(runs[0].kinds)
     assumed += [
         f"{run.source}: has other columns than {runs[0].source}, so this map is not for it; guess its map alone"
         for run in runs
         if not of_first & set(run.kinds)
     ]
-    sources = _Sources(paths, runs, dbc, folder, known, assumed)
+    sources = _Sources(paths, runs, reader, folder, known, assumed)
     found = [_guess_of_run(run, sources) for run in runs]
     scaled = dict.fromkeys(name for guess in found for name in guess.full)
     if unknown := [name for name in known if name not in scaled]:
@@ -265,7 +269,7 @@ def guess_map(path: Path, dbc: Path | None = None) -> Guess:
         comma as delimiter and as decimal mark; also if `dbc` is given for a source that is no CAN log.
     """
     run = _run_of_file(path)
-    return _guess_of_run(run, _Sources((path,), (run,), dbc, None, {}, ()))
+    return _guess_of_run(run, _Sources((path,), (run,), _Reader(dbc), None, {}, ()))
 
 
 def _run_of_file(path: Path) -> RunFiles:
@@ -273,9 +277,8 @@ def _run_of_file(path: Path) -> RunFiles:
     return RunFiles(path.stem, (path,), (0,), path)
 
 
-def _outline(path: Path, dbc: Path | None) -> FileOutline:
-    """Return the columns and the times of a source file, read with the database `dbc` if it is a CAN log."""
-    file = _read_file(path, dbc)
+def _outline(file: _ReadFile) -> FileOutline:
+    """Return the columns and the times of a source file."""
     columns, times = set[tuple[str, str]](), list[Column]()
     for table in file.tables:
         clock = clock_of(table)
@@ -284,7 +287,38 @@ def _outline(path: Path, dbc: Path | None) -> FileOutline:
         if t is not None and np.isfinite(t).any():
             times.append(t[np.isfinite(t)])
     span = (min(float(t.min()) for t in times), max(float(t.max()) for t in times)) if times else None
-    return FileOutline(path, frozenset(columns), span)
+    return FileOutline(file.path, frozenset(columns), span)
+
+
+class _Reader:
+    """Reader of the source files of one guess, which keeps the tables of files up to 100 MB in all.
+
+    The runs, the signals and the common scale of several files need the same tables.
+
+    Parameters
+    ----------
+    dbc
+        Database of the messages of CAN logs; None without one.
+    """
+
+    def __init__(self, dbc: Path | None) -> None:
+        """Begin without files."""
+        self.dbc = dbc
+        self._kept: dict[Path, _ReadFile] = {}
+        self._free = MOST_KEPT_BYTES
+
+    def read(self, path: Path) -> _ReadFile:
+        """Return the tables of a source file. Raise SeatrialError as `guess_map` does."""
+        if path in self._kept:
+            return self._kept[path]
+        file = _read_file(path, self.dbc)
+        parts = path.rglob("*") if path.is_dir() else [path]
+        size = sum(part.stat().st_size for part in parts if part.is_file())
+        # The first files are kept. All files are read in turn, so that the latest ones would never be found again.
+        if size <= self._free:
+            self._kept[path] = file
+            self._free -= size
+        return file
 
 
 def _read_file(path: Path, dbc: Path | None) -> _ReadFile:
@@ -312,9 +346,9 @@ def _guess_of_run(run: RunFiles, sources: _Sources, full: Mapping[str, float] | 
     ``full`` has the number of the source that becomes 1, by signal, for signals whose scale is guessed from numbers.
     Other signals, and all signals by default, have their largest number in this run.
     """
-    if sources.dbc is not None and not any(source_kind(path).name == "can" for path in run.paths):
+    if sources.reader.dbc is not None and not any(source_kind(path).name == "can" for path in run.paths):
         raise SeatrialError(f"{run.source}: is not a CAN log (candump, .asc, .blf); leave out --dbc")
-    files = [_read_file(path, sources.dbc) for path in run.paths]
+    files = [sources.reader.read(path) for path in run.paths]
     # the parameters of an autopilot are those of the first table
     tables = sorted((table for file in files for table in file.tables), key=lambda table: not table.parameters)
     clocks = {id(table): clock_of(table) for table in tables}
@@ -560,14 +594,15 @@ def _with_full_speed(candidate: Candidate, full: Mapping[str, float], known: Map
 def _with_speeds_of_commands(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Scale measured shaft speeds so that the largest of them belongs to the largest command of the source.
 
-    A shaft is assumed to follow its command. Commands of which the largest is below 0.3, and those that are not between
-    -1 and 1 in the source, change nothing.
+    A shaft is assumed to follow its command, which may be a number from -1 to 1, per cent or a pulse. Commands of which
+    the largest is below 0.3 or reaches 1, and those whose own scale is guessed from their largest number, change
+    nothing.
     """
     commands = [
-        np.nanmax(np.abs(c.table.numbers(s.columns[0])), initial=0.0)
+        np.nanmax(np.abs(_as_imported(s, c.table.numbers(s.columns[0]))), initial=0.0)
         for c in candidates
         for s in c.signals
-        if s.name.startswith("n_cmd_") and s.unit == "1" and not s.full and "scale" not in s.extra
+        if s.name.startswith("n_cmd_") and not s.full
     ]
     largest = max(commands, default=0.0)
     if not LEAST_LARGEST_COMMAND <= largest < 1.0:
@@ -583,6 +618,16 @@ def _with_speeds_of_commands(candidates: Sequence[Candidate]) -> list[Candidate]
         )
         for c in candidates
     ]
+
+
+def _as_imported(signal: MapSignal, cells: Column) -> Column:
+    """Return the values of a signal of one column in SI units, as an import of its cells (n,) by the map gives them.
+
+    Cells that mark a missing value become NaN.
+    """
+    keys = tomllib.loads(f"keys = {{ {signal.extra} }}")["keys"]
+    known = np.where(cells == keys.get("missing", np.nan), np.nan, cells)
+    return np.asarray((keys.get("scale", 1.0) * known + keys.get("offset", 0.0)) * UNITS[signal.unit][1])
 
 
 def _with_resting_pulses(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -801,21 +846,66 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
                 caveat = "" if unit == stated else f"{letter} is assumed to be the {LETTERS[letter]} in {unit}"
                 yield Candidate("force", 1, table, (MapSignal(letter, (column,), unit, "", 'role = "input"'),), caveat)
             continue
-        found = drive(words, together.get(quantity(words), values), name.unit) if np.isfinite(values).any() else None
-        if (
-            found is not None
-            and (not name.meaning or "velocity" in words)
-            and (message != "JointState" or "velocity" in words)
-        ):
+        both = together.get(quantity(words), values)
+        is_joint = message == "JointState"
+        if is_joint and EFFORT in words:
+            if (effort := _effort_of_joint(words, values, both)) is not None:
+                group, taken, caveat, rank = effort
+                yield Candidate(group, rank, table, (taken._replace(columns=(column,)),), caveat, quantity(words))
+            continue
+        found = drive(words, both, name.unit) if np.isfinite(values).any() else None
+        if found is not None and (not name.meaning or "velocity" in words) and (not is_joint or "velocity" in words):
             group, taken, caveat = found
             taken, hold_caveat = _with_hold(taken, row_seconds(table, clocks[id(table)]), values, words)
             caveat = "; ".join(part for part in (caveat, hold_caveat) if part)
-            behind = (message == "JointState") + bool(words & SET_POINTS)
+            behind = is_joint + 2 * (is_joint and not _varies(values)) + bool(words & SET_POINTS)
             signals = (taken._replace(columns=(column,)),)
             yield Candidate(group, behind, table, signals, caveat, quantity(words))
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
     yield from _motion_candidates(table, row_seconds(table, clocks[id(table)]), names, numbers)
+
+
+def _varies(values: Column) -> bool:
+    """Return whether the finite numbers among values (n,) differ."""
+    known = values[np.isfinite(values)]
+    return known.size > 0 and bool(np.ptp(known) > 0.0)
+
+
+def _effort_of_joint(words: frozenset[str], values: Column, both: Column) -> tuple[str, MapSignal, str, int] | None:
+    """Return the group, the signal without its column, the caveat and the rank of the effort of a thruster's joint.
+
+    Parameters
+    ----------
+    words
+        Words of the names of joint and topic.
+    values
+        Efforts of the joint (n,).
+    both
+        Efforts of the joints of both sides, which get the same scale.
+
+    Returns
+    -------
+    tuple or None
+        In a topic of commands, such as /thrusters/command, the effort is a command, ranked behind velocities that vary.
+        In other topics, a force that is not chosen: ROS has no rule for the effort of a thruster. None if the joint is
+        not that of a thruster, or if its effort does not vary.
+    """
+    of_thruster = words - {EFFORT}
+    if not drive_words(of_thruster) or not _varies(values):
+        return None
+    is_command = bool(of_thruster & COMMAND_WORDS)
+    found = drive(of_thruster, both, "" if is_command else "N")
+    if found is None:
+        return None
+    group, signal, caveat = found
+    text = "the effort of a joint in a topic of commands is assumed to be the command"
+    if not is_command:
+        text = (
+            f"effort of a joint: {signal.name} in N if it is the thrust; give it the name of a command (n_left) and "
+            "`scale` if it is one; the torque of a shaft is no input"
+        )
+    return group, signal, "; ".join(filter(None, (text, caveat))), 2 if is_command else UNCHOSEN_RANK
 
 
 def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozenset[str]) -> tuple[MapSignal, str]:
@@ -1207,7 +1297,8 @@ def _chosen_signals(
 
     quantities: dict[str, frozenset[str]] = {}  # quantity of the chosen thrusters, by group
     taken: dict[str, MapSignal] = {}
-    has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
+    usable = [c for c in candidates if c.rank < UNCHOSEN_RANK]
+    has_force = any(s.name in ("f_left", "f_right") for c in usable for s in c.signals)
     found = _SignalLines({}, [])
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
@@ -1271,16 +1362,19 @@ def _unrecognised_columns(
     """Return the columns that were not recognised, each with its table.
 
     Columns of text, of times, and without a finite value are left out. So are tables with a type of messages, except
-    single numbers (Float64, Float32) and messages of a DBC. The list is empty if all columns were recognised. `clocks`
-    has the time column of each table, by the id of the table.
+    single numbers (Float64, Float32), messages of a DBC, and efforts of joints (JointState) that vary. The list is
+    empty if all columns were recognised. `clocks` has the time column of each table, by the id of the table.
     """
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     found = []
     for table in tables:
-        if table.kind and table.kind.rpartition("/")[2] not in ("Float64", "Float32", "dbc"):
+        message = table.kind.rpartition("/")[2]
+        if message not in ("", "Float64", "Float32", "dbc", "JointState"):
             continue
         for column in table.names:
             if not column or (id(table), column) in used or column == clocks[id(table)].column:
+                continue
+            if message == "JointState" and not (column.startswith(EFFORT) and _varies(table.numbers(column))):
                 continue
             try:
                 values = table.numbers(column)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -12,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from seatrial.daq.checks import too_many_rows_missing, unknown_names, unknown_names_text, unknown_times
-from seatrial.daq.errors import SeatrialError, counted, warn
+from seatrial.daq.errors import SeatrialError, counted, first_names, warn
 from seatrial.daq.importers.boat_tables import BoatTable
 from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
 from seatrial.daq.importers.run_files import (
+    MOST_NAMED,
     files_of_folder,
     is_run_folder,
     name_of_folder,
@@ -81,16 +82,23 @@ def import_files(
     if assumed := assumed_roles_line(import_map):
         warn(f"{map_path}: {assumed}")
     groups = _files_of_logs(import_map, files)
-    pieces_of = [_pieces_of_file(import_map, group) for _, group in groups]
+    pieces_of = [_pieces_of_run(import_map, stem, group) for stem, group in groups]
     if out is not None and (n_logs := sum(map(len, pieces_of))) > 1:
         raise SeatrialError(f"{out}: -o names one log, but this import makes {n_logs}; use --out-dir")
     for piece in import_map.pieces:
         if not any(piece in pieces for pieces in pieces_of):
-            warn(f"{map_path}: [[log]] match = '{piece.match}' matches none of the given files; correct it")
+            warn(f"{map_path}: [[log]] match = '{piece.match}' matches none of the given files or folders; correct it")
     written: list[Path] = []
+    runs_of: dict[Piece, list[str]] = {}  # names of the runs that each piece without match was cut from
     spoiled: list[tuple[Path, RowsLeftOut]] = []
     for (stem, group), pieces in zip(groups, pieces_of, strict=True):
         data = [_read_source(path, source) for path, source in group]
+        if len(groups) > 1:
+            pieces = _pieces_with_samples(data, pieces)
+            if pieces == (_WHOLE,) and import_map.pieces and any(not piece.match for piece in import_map.pieces):
+                warn(f"{group[0][0]}: no [[log]] has its times, so it becomes one log as a whole")
+            for piece in pieces:
+                runs_of.setdefault(piece, []).append(stem)
         shift = _shift_of_negative_times(data, [source for _, source in group], pieces)
         if shift:
             data = [source_file._replace(origin=shift) for source_file in data]
@@ -99,19 +107,20 @@ def import_files(
             name = f"{stem}_{piece.name}" if piece.name else stem
             target = out or (out_dir or Path()) / f"{name}.mcap"
             if target in written:
-                raise SeatrialError(f"{target}: two of the files would become this log; rename one of them")
+                raise SeatrialError(f"{target}: two of the files or [[log]] would become this log; rename one")
             reads = [
                 map_path,
                 *(path for _, sources in groups for path, _ in sources),
                 *_files_named_in_map(import_map),
             ]
-            _write_piece(import_map, data, piece, target, force, reads, shift)
+            _write_piece(import_map, stem, data, piece, target, force, reads, shift)
             written.append(target)
         for remark in (remark for source_file in data for remark in source_file.remarks):
             warn(remark)
         spoiled += [
             (source_file.path, row) for source_file in data for row in source_file.signals.left_out if _is_too_many(row)
         ]
+    _warn_of_shared_pieces(map_path, runs_of)
     if spoiled:
         advice = "sort the rows by time; if a clock was set, import the data before and after it separately"
         if spoiled[0][1].why == "repeats":
@@ -145,10 +154,40 @@ def assumed_roles_line(import_map: ImportMap) -> str:
     )
 
 
-def _pieces_of_file(import_map: ImportMap, group: Sequence[tuple[Path, Source]]) -> tuple[Piece, ...]:
-    """Return the pieces that the files of one log are cut into: the whole if no [[log]] table is for them."""
-    found = tuple(piece for piece in import_map.pieces if any(fnmatch(path.name, piece.match) for path, _ in group))
-    return found or (_WHOLE,)
+def _pieces_of_run(import_map: ImportMap, stem: str, group: Sequence[tuple[Path, Source]]) -> tuple[Piece, ...]:
+    """Return the pieces that may be cut from a run: the whole if no [[log]] table is for it.
+
+    A table is for the run if it has no `match`, or if `match` fits the name of the log (`stem`) or of a file.
+    """
+    names = [stem, *(path.name for path, _ in group)]
+    found = (piece for piece in import_map.pieces if any(fnmatch(name, piece.match or "*") for name in names))
+    return tuple(found) or (_WHOLE,)
+
+
+def _pieces_with_samples(data: Sequence[_SourceFile], pieces: Sequence[Piece]) -> tuple[Piece, ...]:
+    """Return the pieces of one of several runs: without a [[log]] that names no run and has no time of this one.
+
+    The result is the whole if no piece is left.
+    """
+    times = [signal.t for source_file in data for signal in source_file.signals.signals]
+    found = (
+        piece
+        for piece in pieces
+        if piece.match or any(bool(np.any((t >= piece.t_from) & (t <= piece.t_to))) for t in times)
+    )
+    return tuple(found) or (_WHOLE,)
+
+
+def _warn_of_shared_pieces(map_path: Path, runs_of: Mapping[Piece, Sequence[str]]) -> None:
+    """Warn of [[log]] tables without `match` that were cut from several runs. `runs_of` has the runs of each piece."""
+    shared = {piece.name: runs for piece, runs in runs_of.items() if piece.name and not piece.match and len(runs) > 1}
+    if shared:
+        runs = next(iter(shared.values()))
+        warn(
+            f"{map_path}: [[log]] {first_names(list(shared), MOST_NAMED)}: cut from {len(runs)} runs "
+            f"({first_names(list(runs), MOST_NAMED)}), whose times it fits; for one run, name it in the [[log]], as "
+            f'match = "{runs[0]}"; for all of them, match = "*"'
+        )
 
 
 def _shift_of_negative_times(data: Sequence[_SourceFile], sources: Sequence[Source], pieces: Sequence[Piece]) -> float:
@@ -367,6 +406,7 @@ def _files_named_in_map(import_map: ImportMap) -> list[Path]:
 
 def _write_piece(
     import_map: ImportMap,
+    run: str,
     data: Sequence[_SourceFile],
     piece: Piece,
     target: Path,
@@ -377,10 +417,10 @@ def _write_piece(
     """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
     An event exactly at an end of the interval is included. The signals and events are shifted by the origin of their
-    file to s since 1970. The metadata contain the digests of the import map and the files, and the numbers of rows left
-    out, and the shift [s] of times that begin below zero, which the origins contain already. The map and the known
-    numbers of the boat in it are attached. An existing log is replaced only with `force`; the files `reads` (map and
-    sources) are never replaced.
+    file to s since 1970. The metadata contain the name of the `run`, the digests of the import map and the files, the
+    numbers of rows left out, and the shift [s] of times that begin below zero, which the origins contain already. The
+    map and the known numbers of the boat in it are attached. An existing log is replaced only with `force`; the files
+    `reads` (map and sources) are never replaced.
     """
     signals: list[SignalData] = []
     events = [
@@ -391,6 +431,7 @@ def _write_piece(
     ]
     kinds = ", ".join(dict.fromkeys(source_file.kind for source_file in data))
     metadata = {"import": kinds, "import.map": import_map.name, "import.map.sha256": _sha256(import_map.text)}
+    metadata["import.run"] = run
     if shift:
         metadata["import.time_shift_s"] = repr(shift)
     for i, source_file in enumerate(data, start=1):

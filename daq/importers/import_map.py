@@ -189,13 +189,14 @@ class Piece:
     t_from, t_to : float
         First and last time, both included [s of the file's clock, before `TimeColumn.origin` is added].
     match : str
-        Pattern of the names of the files that the piece is cut from, as ``run1*``.
+        Pattern of the runs that the piece is cut from, as ``run1*``: of the name of a run's log (that of the folder, or
+        of the file without ending) or of one of its files; "" for each run that has samples in the interval.
     """
 
     name: str
     t_from: float  # s of the file's clock, before `origin` is added
     t_to: float  # s, likewise
-    match: str = "*"
+    match: str = ""
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,8 @@ class ImportMap:
     pieces : tuple of Piece
         Intervals of time that become logs; empty for one log of the whole time.
     vehicle : dict
-        Known numbers of the boat by name, as `y_left` [m] or `c1` [N], and their standard uncertainties (`NAME_sd`).
+        Known numbers of the boat by name, as `y_left` [m], `c1` or `ahead` [N], and their standard uncertainties
+        (`NAME_sd`).
     """
 
     name: str
@@ -293,12 +295,8 @@ def parse_import_map(text: str, path: Path) -> ImportMap:
                     f"one of them out, or rename one{_advice_on_name(signal.log_name)}",
                 )
     pieces = tuple(_piece_of_table(table) for table in root.tables("log"))
-    if len({(piece.name, piece.match) for piece in pieces}) < len(pieces):
+    if len({(piece.name, piece.match or "*") for piece in pieces}) < len(pieces):
         raise root.error("log", "two [[log]] tables have the same name; rename one")
-    if files and any(piece.match != "*" for piece in pieces):
-        raise root.error(
-            "log", "[[file]] tables merge all files into one log, so match in [[log]] means nothing; remove it"
-        )
     vehicle = geometry_of(root.table("geometry")) | thrust_of(root.table("scale"))
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
@@ -563,13 +561,13 @@ def _piece_of_table(table: TomlTable) -> Piece:
     """Parse an interval of time that becomes a log, from a table [[log]] of an import map.
 
     The keys are name, t_from and t_to [s], and match. Without t_from or t_to the interval has no limit on that side,
-    and without match the piece is cut from every file. Raise SeatrialError if the name has other characters
-    than letters, digits, _, - and ., or if t_to is not after t_from.
+    and without match the piece is cut from each run with samples in it. Raise SeatrialError if the name has other
+    characters than letters, digits, _, - and ., or if t_to is not after t_from.
     """
     name = table.text("name")
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise table.error("name", f"'{name}' becomes part of a file name; use letters, digits, _, - or .")
-    found = Piece(name, table.number("t_from", -1e18), table.number("t_to", 1e18), table.text("match", "*"))
+    found = Piece(name, table.number("t_from", -1e18), table.number("t_to", 1e18), table.text("match", ""))
     if found.t_to <= found.t_from:
         raise table.error("t_to", "must be later than t_from; correct one of them")
     table.done()

@@ -267,8 +267,9 @@ _UNITS = {  # units as written in names of columns -> units of maps
     "rpm": "rev/min", "pwm": "us", "newton": "N", "nm": "Nm", "s": "s", "ms": "ms", "us": "us", "ns": "ns", "-": "1",
     "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "μs": "us", "nsec": "ns",
     "n·m": "Nm", "min": "min", "minutes": "min", "h": "h", "hr": "h", "hours": "h", "days": "day", "day": "day",
+    "pct": "%", "percent": "%", "per cent": "%",
 }  # fmt: skip
-_SUFFIX = re.compile(r"_(deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
+_SUFFIX = re.compile(r"_(pct|percent|deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
 _BRACKET = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 _LEFT, _RIGHT = {"left", "port", "l", "portside"}, {"right", "starboard", "stbd", "r", "sb"}
 SIDES = _LEFT | _RIGHT

@@ -13,8 +13,9 @@ def run_folder_of(path: Path) -> Path | None:
     """Return the folder of a text table if it has further tables of the same run; else None.
 
     These have the same ending, another header line, and times that overlap with those of the table, judged by the first
-    cells of the first and the last row. They are compared as numbers, or as text such as dates. The import reads the
-    files better; this test is for the advice of a message.
+    cells of the first and the last row. They are compared as numbers, or as text such as dates. The importers compare
+    files better (`run_files`), but this package is below them, and they read whole files. This test reads the ends of
+    the files only, for the advice of a message.
     """
     own = _ends(path)
     if own is None:

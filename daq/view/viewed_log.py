@@ -7,6 +7,8 @@ Times on the page are in s from the first sample, as those of `--from` and `--to
 from __future__ import annotations
 
 import contextlib
+import glob
+import json
 import math
 import shlex
 import threading
@@ -143,8 +145,10 @@ class ViewedLog:
         ]
         with self._lock:
             shift = self._shift_to_source()
+            run = self._log.metadata.get("import.run", "") if self._log else ""
+        match = f"match = {json.dumps(glob.escape(run), ensure_ascii=False)}\n" if run else ""
         tables = [
-            f'[[log]]\nname = "part{k}"\nt_from = {begin + shift:.3f}\nt_to = {end + shift:.3f}\n'
+            f'[[log]]\nname = "part{k}"\nt_from = {begin + shift:.3f}\nt_to = {end + shift:.3f}\n{match}'
             for k, (begin, end) in enumerate(intervals, start=1)
             if shift is not None
         ]

@@ -31,6 +31,9 @@ INPUTS = (COMMAND, SHAFT_SPEED, THRUSTER_FORCE)  # of one thruster; X and N are 
 CONSTANT_PART = 0.005  # of the largest value, or of full speed: a pulse width that flickers by 1 us is still constant
 SMOOTHED_S, EVERY_S = 2.0, 0.5  # window of the moving average of the motion, and interval between its values
 SPEED_RISE, TURN_RISE = 0.5, 0.15  # m/s, rad/s: larger rises of speed or yaw rate need a changing thrust
+LEVEL = 0.1  # of full speed: the sizes of an input within such a range are one level
+AT_LEVEL = 0.05, 0.95  # quantiles of the sizes in time, so that start and end of a run do not count
+LEAST_AT_LEVEL_S = 10.0  # of a shorter log, levels say nothing
 MAX_RISES = 2  # with a constant thrust: the boat gathers speed, and begins to turn
 STUCK_S, STUCK_SAMPLES = 5.0, 10  # a shaft speed is stuck if it stays the same for longer than both
 TURNING = 0.05  # of full speed; a shaft turns at larger speeds
@@ -83,14 +86,18 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
         If all inputs are constant: at most one finding, ``inputs-constant`` or ``inputs-never-change``; none if speed
         and yaw rate do not rise. Else ``shaft-speed-stuck`` for each shaft speed that stays the same against its
         command. A shaft speed without a command gives it if its hold is ``linear``, it is constant and above 0.05 of
-        full speed in the whole log, and speed and yaw rate rise more than twice.
+        full speed in the whole log, and speed and yaw rate rise more than twice. ``inputs-one-level`` (warning) if none
+        of these findings applies and each thruster that turns has one level, forward or in reverse.
     """
     names = sorted(n for n in c if is_of_thruster(n, *INPUTS) or n in ("X", "N"))
     if not names:
         return
-    if all(_is_constant(n, c[n]) for n in names):
-        yield from _constant_inputs(c, names)
-        return
+    found = list(_constant_inputs(c, names) if all(_is_constant(n, c[n]) for n in names) else _stuck_shafts(c, names))
+    yield from found or _one_level(c)
+
+
+def _stuck_shafts(c: Channels, names: list[str]) -> Iterator[Finding]:
+    """Yield ``shaft-speed-stuck`` for each shaft speed among ``names`` that stays the same, as `check_inputs` says."""
     for name in (n for n in names if is_of_thruster(n, SHAFT_SPEED)):
         command = c.get(command_of(SignalId.parse(name).source))
         held = _stuck_against_command(c[name], command) if command is not None and command.t is not c[name].t else None
@@ -130,6 +137,37 @@ def _constant_inputs(c: Channels, names: list[str]) -> Iterator[Finding]:
         text = f"constant in the whole log ({values}): a fit cannot separate thrust and damping"
         advice = "record a run with steps of the command (seatrial mission generate)"
         yield Finding(WARNING, "inputs-never-change", "stuck", ", ".join(names), text, advice)
+
+
+def _one_level(c: Channels) -> Iterator[Finding]:
+    """Yield at most one finding: each thruster of a boat that turns has one level, forward or in reverse.
+
+    The sizes of a shaft speed, or of a command without a shaft speed, are one level if 90 % of the time they are within
+    0.1 of full speed. Thrust curve, dead zone and drag then have the same consequence. Logs without motion (a bench),
+    and logs shorter than 10 s, give no finding.
+    """
+    thrusters = {SignalId.parse(n).source for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED)}
+    # the shaft speed replaces the command of its thruster
+    named = {s: n for s in sorted(thrusters) for n in (command_of(s), shaft_speed_of(s)) if n in c and c[n].t.size}
+    if not named or not {"psi", "r", "u", "vx", "x", "speed"} & set(c):
+        return
+    begin, end = max(c[n].t[0] for n in named.values()), min(c[n].t[-1] for n in named.values())
+    if end - begin < LEAST_AT_LEVEL_S:
+        return
+    grid = np.arange(begin, end, SENSOR_GRID_S)
+    sizes = {n: np.abs(sample_and_hold(c[n], grid)) for n in named.values()}
+    known = {n: values[np.isfinite(values)] for n, values in sizes.items()}
+    ranges = {n: np.quantile(values, AT_LEVEL) for n, values in known.items() if values.size}
+    turning = {n: limits for n, limits in ranges.items() if limits[1] > TURNING}
+    if not turning or any(high - low > LEVEL for low, high in turning.values()):
+        return
+    listed = ", ".join(f"{n} {low:.2f} to {high:.2f}" for n, (low, high) in turning.items())
+    text = (
+        f"the thrusters turn at one speed, forward or in reverse (of full: {listed}): a fit cannot tell thrust curve, "
+        "dead zone and drag apart"
+    )
+    advice = "record steps of several sizes (seatrial mission generate), or fit this log together with logs at others"
+    yield Finding(WARNING, "inputs-one-level", "level", ", ".join(turning), text, advice)
 
 
 def _is_constant(name: str, channel: Channel) -> bool:

@@ -559,12 +559,13 @@ class LoadedLog:
         return self.origin is None and "x" in self.run.channels
 
     def hull(self, mass: float | None = None) -> dict[str, float]:
-        """Return what the user knows of the hull, for the checks of a fit: ``length`` [m] and weighed ``mass`` [kg].
+        """Return what the user knows of the boat, for the checks of a fit.
 
-        Both are from the rig file or import map, if they have them. ``mass`` replaces that of the log. SeatrialError is
-        raised if the mass is not positive.
+        These are ``length`` [m], weighed ``mass`` [kg] and ``ahead``, the thrust of one thruster ahead without that
+        astern [N]. They are from the rig file or import map, if they have them. ``mass`` replaces that of the log.
+        SeatrialError is raised if the mass is not positive.
         """
-        known = {n: self.vehicle[n] for n in ("length", "mass") if n in self.vehicle}
+        known = {n: self.vehicle[n] for n in ("length", "mass", "ahead") if n in self.vehicle}
         known |= {} if mass is None else {"mass": mass}
         if not known.get("mass", 1.0) > 0.0:
             raise SeatrialError(f"mass = {known['mass']:g} kg: the weighed mass must be positive; correct it")

@@ -97,6 +97,8 @@ from .standard_errors import FROM_PRIOR as FROM_PRIOR
 from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic
+from .thrust_ahead import with_thrust_ahead as with_thrust_ahead
+from .thrust_scale import AHEAD as AHEAD
 from .thrust_scale import PLAUSIBLE_MASS_RATIO as PLAUSIBLE_MASS_RATIO
 from .thrust_scale import PriorDistance as PriorDistance
 from .thrust_scale import ReportedEstimates as ReportedEstimates

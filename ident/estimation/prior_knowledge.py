@@ -10,6 +10,7 @@ from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.daq.rig import Rig
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation.model_file import SavedModel, load_model
+from seatrial.ident.estimation.thrust_scale import AHEAD
 from seatrial.ident.model import Effect, EffectPrior, Model, ModelKind, Parameter, ParameterOrigin
 from seatrial.ident.models import (
     CURRENT_WALK,
@@ -42,6 +43,7 @@ def apply_rig_geometry(
     ``y_left`` and ``y_right``) and the lever arm of the antenna, of the rig or in ``vehicle``. A value in ``vehicle``
     takes precedence over the position of the thruster. A value with a standard uncertainty becomes the mean of a prior.
     A value without one is the initial value of a parameter that the model estimates, and fixes any other parameter.
+    A thrust ``ahead`` without c1 is the first value of c1: `scaled_to_ahead` follows after a fit.
     ``x_thrusters``, or the position of the thrusters in the rig file, is the prior of this position in effects that
     have one (`with_effect_priors`). Other values that are no parameter of the model are ignored.
 
@@ -68,6 +70,8 @@ def apply_rig_geometry(
         If a value is outside the bounds of its parameter, or not positive where it must be.
     """
     given, known = dict(vehicle if vehicle is not None else rig.vehicle if rig else {}), []
+    if AHEAD in given and "c1" not in given:
+        given |= {key.replace(AHEAD, "c1"): given[key] for key in (AHEAD, f"{AHEAD}_sd") if key in given}
     levers = {f"y_{t.name}": t.position_m[1] for t in (rig.thrusters if rig else ()) if t.name in SIDES}
     for name, value in (levers | given).items():
         if name in model.values:

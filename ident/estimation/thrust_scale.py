@@ -28,6 +28,7 @@ BUILT_IN, ESTIMATED = ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED
 # Prior standard deviation of c2 / c1 if c2 was not given. At two standard deviations the reverse thrust is 0.67 or 1.5
 # times the forward thrust.
 ASYMMETRY = 0.1
+AHEAD = "ahead"  # number of the boat: thrust of one thruster at full speed ahead [N], if that astern is not known
 PRIOR_WIDTHS = 3.0  # data and prior contradict each other if they differ by more standard deviations
 LEAST_SHOWN_DATA = 0.2  # the data's share of a parameter's information, from which the value of the data alone is shown
 LEAST_DATA = 0.01  # lower limit of the data's share of a parameter's information, in the test against the prior
@@ -174,6 +175,42 @@ def free_unknown_scale(model: Model) -> Model:
     if c2.provenance is BUILT_IN:
         c2 = replace(c2.at(0.0), prior=(0.0, ASYMMETRY * c1.value), free=True)
     return _with_both_arms(model.replace_parameters(c1, c2))
+
+
+def scaled_to_ahead(model: Model, fit: Fit, ahead: float, sd: float = 0.0) -> Model:
+    """Return the model with another scale of forces: that of the given thrust ahead.
+
+    The motion determines the ratio of the thrusts ahead (c1 + c2) and astern (c1 - c2), and a fit with any c1 finds it.
+
+    Parameters
+    ----------
+    model
+        Model before the fit, with an estimated c2.
+    fit
+        Fit of this model.
+    ahead, sd
+        Given thrust of one thruster at full speed ahead, and its standard uncertainty [N]. 0: the thrust is exact.
+
+    Returns
+    -------
+    Model
+        Model in which c1 is known, so that c1 + c2 is the given thrust with the c2 of the fit. Free parameters begin at
+        their estimates. Those in units of force or mass are multiplied by the same factor as c1. The built-in prior of
+        c2 follows c1.
+    """
+    (c1, _), (c2, _) = fit.estimate("c1"), fit.estimate("c2")
+    factor = ahead / (c1 + c2)
+    estimated = [p for p in model.parameters if p.free and not p.per_record and p.name not in ("c1", "c2")]
+    new = []
+    for p in estimated:
+        value, (low, high) = fit.estimate(p.name)[0] * factor ** force_power(p.unit), p.bounds
+        new.append(p.at(min(max(value, low), high)))
+    origin = ParameterOrigin.PRIOR if sd else ParameterOrigin.GIVEN
+    mean = model.parameter("c1").known(factor * c1, factor * c1 / ahead * sd, origin)
+    half = model.parameter("c2").at(factor * c2)
+    if half.origin is BUILT_IN:
+        half = replace(half, prior=(0.0, ASYMMETRY * mean.value))
+    return model.replace_parameters(mean, half, *new)
 
 
 def _with_both_arms(model: Model) -> Model:

@@ -445,12 +445,13 @@ def estimation_warnings(
     records : sequence of Record
         Records that the parameters were fitted to.
     hull : mapping
-        What is known of the hull. Without its ``length`` [m], the least plausible yaw inertia follows from the
-        thrusters' arms alone. Without its weighed ``mass`` [kg], the mass in surge is not checked.
+        What is known of the boat. Without its ``length`` [m], the least plausible yaw inertia follows from the
+        thrusters' arms alone. Without its weighed ``mass`` [kg], the mass in surge is not checked. With ``ahead`` [N],
+        the thrust of one thruster ahead, c1 is not taken for a thrust that may be that ahead.
     """
     warnings = [
         *scale_warnings(thrust_scale_of(fit.model)),
-        *thrust_ahead_warnings(fit),
+        *thrust_ahead_warnings(fit, hull.get("ahead")),
         *thrust_astern_warnings(fit),
         *antenna_warnings(fit),
         *unusual_estimates(fit),
@@ -715,16 +716,27 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
     return warnings
 
 
-def thrust_ahead_warnings(fit: Fit) -> list[ResultWarning]:
+def thrust_ahead_warnings(fit: Fit, ahead: float | None = None) -> list[ResultWarning]:
     """Return a warning if c1 was given, and the thrust ahead (c1 + c2) differs from it by more than 5 % by the data.
 
     Many data sheets have the thrust ahead only. Given as c1, it makes all masses wrong. The list is empty if c2 was
-    given too, or if its difference from zero is not significant (two standard errors).
+    given too, or if its difference from zero is not significant (two standard errors). If the thrust ``ahead`` [N] was
+    given, that of the fit is compared with it instead of c1.
     """
     known, given = {p.name: p for p in fit.model.parameters}, {ParameterOrigin.GIVEN, ParameterOrigin.PRIOR}
     if not {"c1", "c2"} <= set(known) or known["c1"].origin not in given or known["c2"].origin in given:
         return []
     (c1, _), (c2, error) = fit.estimate("c1"), fit.estimate("c2")
+    if ahead is not None:
+        if not abs(c1 + c2 - ahead) > max(UNEQUAL_THRUST * ahead, 2.0 * error):
+            return []
+        text = (
+            f"The thrust ahead was given as {ahead:.4g} N, and this fit has {c1 + c2:.3g} N (c1 + c2): masses, damping "
+            f"and forces are {(c1 + c2) / ahead:.2f} times as large as with the given thrust. If c1 or c2 were not "
+            f"given on purpose, give both thrusts (`ahead = {ahead:.4g}` and `astern = "
+            f"{ahead * (c1 - c2) / (c1 + c2):.3g}` in [scale] of the import map), and fit again."
+        )
+        return [ResultWarning(code="thrust-ahead", text=text)]
     if not abs(c2) > max(UNEQUAL_THRUST * c1, 2.0 * error):
         return []
     prior = known["c1"].prior

@@ -97,7 +97,7 @@ class FitContext:
     unused
         Signals of the logs that the model does not use.
     hull
-        What the user knows of the hull, if anything: ``length`` [m] and weighed ``mass`` [kg].
+        What the user knows of the boat, if anything: ``length`` [m], weighed ``mass`` [kg] and thrust ``ahead`` [N].
     assessment
         Result of the score tests of the model, with the common errors that were added. None if it was not tested.
     dynamics

@@ -30,6 +30,7 @@ from seatrial.ident.estimation import (
     nominal_model,
     parameters_of_effects,
     profile,
+    with_thrust_ahead,
 )
 from seatrial.ident.model import COMMAND, Model, ParameterOrigin, is_of_thruster, with_outlier_model
 from seatrial.ident.models import is_own_model
@@ -134,6 +135,11 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
     require_thrust_and_length(problem.segments, problem.model, request.despite_faults)
     if problem.thrust:
         reporter.progress(problem.thrust)
+    if problem.ahead is not None:
+        scaled, note = with_thrust_ahead(
+            problem.model, problem.segments, request.estimation, problem.ahead, rate=request.rate, reporter=reporter
+        )
+        problem = replace(problem, model=scaled, notes=[*problem.notes, note])
     for line in [*problem.notes, *unused_lines(problem.unused)]:
         reporter.warning(line)
     tested = _assess(request, problem, reporter)

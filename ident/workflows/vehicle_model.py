@@ -10,6 +10,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.characterisation import ThrustCurve, load_curve
 from seatrial.ident.data import SHAFTS, WHOLE, LoadedLog, LogSegment, TimeWindows
 from seatrial.ident.estimation import (
+    AHEAD,
     EstimationOptions,
     apply_rig_geometry,
     fix_parameters,
@@ -128,6 +129,9 @@ class VehicleProblem:
         Signals of the logs that the model does not use.
     choice
         Sentence on commands that were chosen as inputs although the logs have measured shaft speeds; empty otherwise.
+    ahead
+        Given thrust of one thruster at full speed ahead, and its standard uncertainty [N], if that astern is not known:
+        c1 is then this thrust before a first fit (`scaled_to_ahead`). None if c1 needs no such fit.
     """
 
     model: Model
@@ -138,6 +142,7 @@ class VehicleProblem:
     thrust: str
     unused: list[UnusedSignal]
     choice: str = ""
+    ahead: tuple[float, float] | None = None
 
 
 def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tuple[Model, list[str]]:
@@ -284,16 +289,34 @@ def vehicle_problem(
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, fixed_notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
     model = with_values_per_log(model, request.per_log)
-    model = free_unknown_scale(model)
+    model, ahead = _with_thrust_ahead(free_unknown_scale(model), request, loaded[0].vehicle)
     model, floors = with_noise_floors(model, loaded)
     notes += considered_notes(model)
     check_names(nominal_model(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, validation_logs))
     unused = unused_signals(model, loaded, validation_logs)
     choice = inputs_sentence(model, [*loaded, *validation_logs]) if source == "auto" else ""
-    return VehicleProblem(
-        model, segments, validation, [*notes, *fixed_notes], floors, thrust_from(model, loaded), unused, choice
-    )
+    notes, thrust = [*notes, *fixed_notes], thrust_from(model, loaded)
+    return VehicleProblem(model, segments, validation, notes, floors, thrust, unused, choice, ahead)
+
+
+def _with_thrust_ahead(
+    model: Model, request: VehicleRequest, vehicle: Mapping[str, float]
+) -> tuple[Model, tuple[float, float] | None]:
+    """Return the model, and the given thrust ahead with its standard uncertainty [N], if a first fit must scale c1.
+
+    With a c2 that is not estimated, c1 follows from the thrust ahead at once. The second result is then None. It is
+    also None if the numbers of the boat (``vehicle``) lack this thrust, or if c1 or a bench test was given.
+    """
+    given = AHEAD in vehicle and "c1" not in vehicle and {"c1", "c2"} <= set(model.values)
+    if not given or request.thruster is not None or "c1" in {*request.fixed, *request.priors}:
+        return model, None
+    ahead, sd, c1, c2 = vehicle[AHEAD], vehicle.get(f"{AHEAD}_sd", 0.0), model.parameter("c1"), model.parameter("c2")
+    if c1.origin not in (ParameterOrigin.GIVEN, ParameterOrigin.PRIOR):
+        return model, None
+    if c2.free:
+        return model, (ahead, sd)
+    return model.replace_parameters(c1.known(ahead - c2.value, sd * (1.0 - c2.value / ahead), c1.origin)), None
 
 
 def _saved_problem(

@@ -1657,7 +1657,7 @@ def test_bollard_pull_ahead_and_astern_gives_both_coefficients_of_thrust(table: 
     written = tmp_path / "map.toml"
     pull = {"ahead": 96.0, "astern": 61.0, "ahead_sd": 3.0, "astern_sd": 4.0}
     assert parse_import_map(st.guess_map(table, scale=pull), written).vehicle == PULLED
-    assert parse_import_map(st.guess_map(table, scale={"ahead": 96.0}), written).vehicle == {"c1": 96.0}
+    assert parse_import_map(st.guess_map(table, scale={"ahead": 96.0}), written).vehicle == {"ahead": 96.0}
     st.guess_map(table, written, **BOAT)
     (log,) = st.import_log(table, written, out_dir=tmp_path, scale=pull)  # in place of c1 and c2 of the map
     assert load_run(log, "log").vehicle == NUMBERS | {"antenna_y": 0.0, "antenna_z": 0.0} | PULLED

@@ -819,18 +819,38 @@ def test_a_guessed_map_has_examples_of_what_no_file_has(
         assert found.vehicle == pytest.approx(boat | (thrust if scale else {}))
 
 
-@pytest.mark.parametrize(("largest", "full"), [(0.8, 1000.0), (0.2, 800.0), (90.0, 800.0)])
-def test_full_speed_is_that_of_the_largest_command(tmp_path: Path, largest: float, full: float) -> None:
+@pytest.mark.parametrize(
+    ("largest", "rest", "full"),
+    [(0.8, 0.0, 1000.0), (0.2, 0.0, 800.0), (80.0, 0.0, 1000.0), (100.0, 0.0, 800.0), (320.0, 1500.0, 1000.0)],
+    ids=["fraction", "too small", "per cent", "full", "pulses"],
+)
+def test_full_speed_is_that_of_the_largest_command(tmp_path: Path, largest: float, rest: float, full: float) -> None:
     """The largest speed of a log is seldom full speed. The largest command shows which part of it was reached."""
     lines = ["time,yaw_rad,cmd_left,cmd_right,rpm_left,rpm_right"]
     for k in range(400):
-        part = np.sin(0.05 * k), np.sin(0.07 * k)
-        cells = [0.1 * k, 0.01 * k, *(largest * x for x in part), *(800.0 * x for x in part)]
+        part = (np.sin(0.05 * k), np.sin(0.07 * k)) if k > 60 else (0.0, 0.0)
+        cells = [0.1 * k, 0.01 * k, *(rest + largest * x for x in part), *(800.0 * x for x in part)]
         lines.append(",".join(f"{x:.6g}" for x in cells))
     (tmp_path / "run.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     guessed = guess_map(tmp_path / "run.csv")
     assert guessed.full["n_left"] == pytest.approx(full, rel=1e-3)
     assert ("over its largest command, 0.8; better" in guessed.text) is (full == 1000.0)
+
+
+@pytest.mark.parametrize("unit", ["_pct", "_percent", " [%]", " (percent)"])
+def test_a_shaft_speed_in_per_cent_is_scaled_like_a_command_in_per_cent(tmp_path: Path, unit: str) -> None:
+    table = {
+        name if name in ("t", "yaw") else f"{name}{unit}": column * (1.0 if name in ("t", "yaw") else 100.0)
+        for name, column in commands_and_speeds(rpm="shaft_").items()
+    }
+    for side in ("left", "right"):
+        table[f"shaft_{side}{unit}"] = 0.9 * table[f"cmd_{side}{unit}"]
+    path = write(tmp_path, table)
+    found = guessed_signals(path)
+    names = [f"{n}_{side}" for n in ("n_cmd", "n") for side in ("left", "right")]
+    assert [(found[name]["unit"], "scale" in found[name]) for name in names] == [("%", False)] * 4
+    largest = [np.abs(values(tmp_path / "run.mcap", name)[1]).max() for name in names]
+    assert largest == pytest.approx([0.5, 0.4, 0.45, 0.36])
 
 
 def test_command_in_the_first_line_names_the_files_as_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -608,3 +608,29 @@ def test_an_interval_may_be_cut_from_some_of_the_files_only(folder: Path) -> Non
     with pytest.warns(SeatrialWarning, match=r"\[\[log\]\] match = 'other.csv' matches none of the given files"):
         (one,) = import_files(path, [first], out=folder / "one.mcap")
     assert values(one, "psi")[0] == [0.0, 1.0]
+
+
+def test_an_interval_without_a_run_is_cut_from_those_with_its_times(folder: Path) -> None:
+    """The commands hold, but a held value alone makes no log of a run that ended before."""
+    path, (first,) = write(folder, "t,cmd,heading\n0,0.1,0\n1,0.2,10\n2,0.3,20\n")
+    second, third = folder / "b.csv", folder / "c.csv"
+    second.write_text("t,cmd,heading\n10,0.1,0\n11,0.2,10\n12,0.3,20\n")
+    third.write_text("t,cmd,heading\n20,0.1,0\n21,0.2,10\n22,0.3,20\n")
+    text, piece = path.read_text(), '[[log]]\nname = "{}"\nt_from = {}\nt_to = {}\n'
+    path.write_text(text + piece.format("p", 1, 3) + piece.format("q", 11, 13))
+    with pytest.warns(SeatrialWarning) as caught:
+        logs = import_files(path, [first, second, third], out_dir=folder / "logs")
+    assert [str(warning.message) for warning in caught] == [
+        f"{third}: no [[log]] has its times, so it becomes one log as a whole"
+    ]
+    assert [log.name for log in logs] == ["run_p.mcap", "b_q.mcap", "c.mcap"]
+    path.write_text(text + piece.format("p", 1, 11))
+    advice = r'\[\[log\]\] p: cut from 2 runs \(run, b\), .*, as match = "run"; for all of them, match = "\*"'
+    with pytest.warns(SeatrialWarning, match=advice):
+        logs = import_files(path, [first, second], out_dir=folder / "both")
+    assert [log.name for log in logs] == ["run_p.mcap", "b_p.mcap"]
+    path.write_text(text + piece.format("p", 1, 11) + 'match = "*"\n')
+    logs = import_files(path, [first, second], out_dir=folder / "meant")  # without a warning, which would be an error
+    assert [log.name for log in logs] == ["run_p.mcap", "b_p.mcap"]
+    path.write_text(text + piece.format("p", 1, 11) + 'match = "b"\n')
+    assert [log.name for log in import_files(path, [first, second], out_dir=folder / "b")] == ["run.mcap", "b_p.mcap"]

@@ -6,6 +6,7 @@ ROS 1, ROS 2 and PX4, each with its values in the axes of the log.
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -113,6 +114,37 @@ def test_a_message_of_ros_is_recognised(
             for k, t in enumerate(times):
                 second.write(connection2, t, store.serialize_cdr(make(parts, k), kind))
     assert found_in(path) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("topic", "speed", "named", "offered"),
+    [
+        ("/joint_states", 1.0, {"n_left": "velocity.left_engine", "n_right": "velocity.right_engine"}, True),
+        ("/joint_states", 0.0, {"n_left": "velocity.left_engine", "n_right": "velocity.right_engine"}, True),
+        ("/thrusters/command", 0.0, {"n_left": "effort.left_engine", "n_right": "effort.right_engine"}, False),
+        ("/thrusters/command", 1.0, {"n_left": "velocity.left_engine", "n_right": "velocity.right_engine"}, False),
+    ],
+)
+def test_an_effort_of_a_joint_that_varies_is_in_the_map(
+    tmp_path: Path, topic: str, speed: float, named: dict[str, str], offered: bool
+) -> None:
+    """In a topic of commands it is the command. In another one it may be a thrust, and is offered in a comment."""
+    store, kind = get_typestore(Stores.ROS2_HUMBLE), "sensor_msgs/msg/JointState"
+    parts, path = kinds(store, False), tmp_path / "run"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(topic, kind, typestore=store)
+        for k in range(N):
+            speeds, efforts = speed * k * np.array([1.0, -2.0, 0.0]), np.array([4.0 * k, -2.0 * k, 0.1 * k])
+            names = ["left_engine", "right_engine", "rudder"]
+            message = parts.joints(parts.header(k, ""), names, 0 * speeds, speeds, efforts)
+            writer.write(connection, round((T0 + 0.05 * k) * 1e9), store.serialize_cdr(message, kind))
+    text = guess_map(path).text
+    assert {signal["name"]: signal["field"] for signal in tomllib.loads(text)["signal"]} == named
+    line = f'# {{ name = "f_left", topic = "{topic}", field = "effort.left_engine", unit = "N", role = "input" }}'
+    assert (line in text) is offered
+    assert ("f_left in N if it is the thrust; give it the name of a command" in text) is offered
+    assert f'# {{ name = "NAME", topic = "{topic}", field = "effort.rudder", unit = "1" }}' in text
+    assert "effort.left_engine" in text
 
 
 ATTITUDE = (math.cos(NORTH_WEST / 2), 0.0, 0.0, math.sin(NORTH_WEST / 2))

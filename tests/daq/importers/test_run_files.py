@@ -13,6 +13,7 @@ from click.testing import CliRunner
 import seatrial as st
 from seatrial.daq import cli
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers import guess
 from seatrial.daq.importers.guess import guess_maps
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.run_files import match_pattern
@@ -99,6 +100,36 @@ def test_several_folders_are_runs_of_one_map_and_of_one_scale(tmp_path: Path) ->
     assert [values(log, "psi")[0][0] - START for log in logs] == pytest.approx([200.0, 100.0])
     for log in logs:
         assert_has_all_signals(log)
+
+
+@pytest.mark.parametrize(("most", "n_reads"), [(100_000_000, 1), (0, 3)])
+def test_each_file_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int, n_reads: int) -> None:
+    """Files that do not fit into memory together are read again, with the same map."""
+    folders = [run_of_files(tmp_path / f"run{k}", START + 100.0 * k, full=400.0 * k) for k in (1, 2)]
+    expected, read, reads = guess_maps(folders)[0].text, guess._read_file, list[Path]()
+
+    def counting(path: Path, dbc: Path | None) -> guess._ReadFile:
+        reads.append(path)
+        return read(path, dbc)
+
+    monkeypatch.setattr(guess, "_read_file", counting)
+    monkeypatch.setattr(guess, "MOST_KEPT_BYTES", most)
+    assert guess_maps(folders)[0].text == expected
+    assert sorted(reads) == sorted(n_reads * [file for folder in folders for file in folder.iterdir()])
+
+
+def test_an_interval_of_a_map_with_several_files_may_name_its_run(tmp_path: Path) -> None:
+    folders = [run_of_files(tmp_path / f"run{k}", 0.0) for k in (1, 2)]
+    guessed = guess_maps(folders)[0].text
+    pieces = [f'[[log]]\nname = "{n}"\nmatch = "{m}"\nt_from = {a}\n' for n, m, a in (("a", "run1", 2), ("b", "*2", 4))]
+    (map_path := tmp_path / "map.toml").write_text(guessed + "".join(pieces))
+    logs = import_files(map_path, folders, out_dir=tmp_path / "logs")
+    assert [log.name for log in logs] == ["run1_a.mcap", "run2_b.mcap"]
+    assert [values(log, "psi")[0][0] for log in logs] == pytest.approx([2.0, 4.0])
+    map_path.write_text(guessed + pieces[0].replace("run1", "*_a"))
+    with pytest.warns(SeatrialWarning, match=r"\[\[log\]\] match = '\*_a' matches none of the given files or folders"):
+        logs = import_files(map_path, folders, out_dir=tmp_path / "whole")
+    assert [log.name for log in logs] == ["run1.mcap", "run2.mcap"]
 
 
 def test_the_python_interface_takes_folders(tmp_path: Path) -> None:

@@ -264,6 +264,7 @@ def test_log_tables_of_cut_intervals_import_these_intervals(tmp_path: Path, head
     pieces = parse_import_map(map_path.read_text() + text.toml, map_path).pieces
     limits = [t for piece in pieces for t in (piece.t_from, piece.t_to)]
     assert limits == pytest.approx([183.9, 191.4, 208.9, 219.9])
+    assert [piece.match for piece in pieces] == ["run", "run"]
     map_path.write_text(map_path.read_text() + text.toml)
     parts = import_files(map_path, [table], out_dir=tmp_path)
     whole = open_log(log).table(Scalar, "psi")

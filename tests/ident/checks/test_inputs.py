@@ -45,6 +45,43 @@ def test_changing_inputs_give_no_finding(inputs: tuple[str, ...]) -> None:
     assert not list(check_inputs(log(ATTITUDE, VELOCITY, inputs)))
 
 
+@pytest.mark.parametrize("inputs", [COMMANDS, SHAFTS])
+@pytest.mark.parametrize(
+    ("spread", "second", "found"),
+    [(0.04, 0.55, ["inputs-one-level"]), (0.04, -0.7, ["inputs-one-level"]), (0.04, 0.0, ["inputs-one-level"]),
+     (0.25, 0.6, []), (0.04, None, [])],
+    ids=["one speed", "spins", "one thruster", "several speeds", "a second speed"],
+)  # fmt: skip
+def test_thrusters_at_one_speed_are_reported(
+    inputs: tuple[str, ...], spread: float, second: float | None, found: list[str]
+) -> None:
+    """The signs change, and a start from rest does not count."""
+    c = log(ATTITUDE, VELOCITY, inputs)
+    for name, level in zip(inputs, (0.6, second), strict=True):
+        t = c[name].t
+        sizes = (0.6 if level is None else level) + spread * np.sin(t)
+        if level == 0.0:
+            sizes = np.zeros(t.size)
+        elif level is None:
+            sizes[t > 0.8 * t[-1]] = 0.3
+        value = np.where(t < 0.03 * t[-1], 0.0, sizes * np.sign(np.sin(0.2 * t)))
+        c |= {name: replace(c[name], value=value)}
+    own = list(check_inputs(c))
+    assert [f.code for f in own] == found
+    if found:
+        assert own[0].level == "warning"
+        assert not invalidates_fit(own[0])
+        assert own[0].where == ", ".join(n for n in inputs if np.any(c[n].value))
+        assert f"{inputs[0]} 0.56 to 0.64" in own[0].text
+
+
+def test_a_constant_speed_without_a_rise_is_one_speed() -> None:
+    own = constant(log(ATTITUDE, VELOCITY, COMMANDS), COMMANDS, 0.6)
+    own |= {n: replace(own[n], value=0.0 * own[n].value) for n in (*ATTITUDE, *VELOCITY) if n in own}
+    assert [f.code for f in check_inputs(own)] == ["inputs-one-level"]
+    assert not list(check_inputs({n: own[n] for n in COMMANDS}))  # a bench
+
+
 @pytest.mark.parametrize(
     ("kept", "found"),
     [((), ["no-thrust"]), (("n_cmd_left",), ["one-side"]), (COMMANDS, []), (("n_left",), ["one-side"])],

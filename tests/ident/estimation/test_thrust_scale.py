@@ -17,6 +17,7 @@ from seatrial.ident.estimation.thrust_scale import (
     least_yaw_inertia,
     model_values,
     prior_distances,
+    scaled_to_ahead,
     thrust_scale_of,
 )
 from seatrial.ident.model.parameter import ParameterOrigin
@@ -73,6 +74,23 @@ def fitted() -> Fit:
     model = horizontal_model().with_free(("m_u", "m_v", "m_r", "d_uu", "d_v", "d_r", "c2"))
     record = make_record(model, LogSegment("run", channels_of(recording)), 10.0)
     return fit(model, [record])
+
+
+@pytest.mark.parametrize("sd", [0.0, 2.0])
+def test_forces_are_scaled_to_the_given_thrust_ahead(fitted: Fit, sd: float) -> None:
+    """The prior is that of the thrust ahead: its standard uncertainty is the same share of c1."""
+    estimate = {p.name: value for p, value in zip(fitted.parameters, fitted.values.tolist(), strict=True)}
+    c1, c2 = fitted.model.values["c1"], estimate["c2"]
+    model = scaled_to_ahead(fitted.model, fitted, 50.0, sd)
+    factor = 50.0 / (c1 + c2)
+    assert model.values["c1"] + model.values["c2"] == pytest.approx(50.0)
+    assert model.values["c2"] / model.values["c1"] == pytest.approx(c2 / c1)
+    for name in ("m_u", "m_r", "d_uu", "d_r"):
+        assert model.values[name] == pytest.approx(factor * estimate[name])
+    known, c1_now = model.parameter("c1"), model.values["c1"]
+    assert (known.free, known.origin) == ((True, PRIOR) if sd else (False, GIVEN))
+    assert known.prior == (pytest.approx((c1_now, 0.04 * c1_now)) if sd else None)
+    assert model.parameter("c2").prior == pytest.approx((0.0, 0.1 * c1_now))
 
 
 def test_error_of_a_ratio_includes_the_error_of_the_thrust(fitted: Fit) -> None:

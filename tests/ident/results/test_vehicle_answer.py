@@ -570,6 +570,11 @@ def test_thrust_that_may_be_that_ahead_is_reported(
         ]
         again: Any = SimpleNamespace(model=SimpleNamespace(parameters=given), estimate=estimates.__getitem__)
         assert not thrust_ahead_warnings(again)  # a reader who follows the advice is not asked again
+        assert not thrust_ahead_warnings(fit, 7.77)  # the thrust ahead was given, and the fit has it
+        (doubt,) = thrust_ahead_warnings(fit, 10.0)
+        assert doubt.code == "thrust-ahead"
+        assert "The thrust ahead was given as 10 N, and this fit has 7.77 N (c1 + c2): masses" in doubt.text
+        assert "`ahead = 10` and `astern = 7.61`" in doubt.text
 
 
 @pytest.mark.parametrize(("c1", "c2", "warned"), [(239.0, 179.0, True), (209.0, 30.0, False), (40.0, -25.0, True)])

@@ -47,9 +47,9 @@ COLUMNS = {"x": "m", "y": "m", "psi": "rad", "r": "rad/s", "vx": "m/s", "vy": "m
 
 
 @cache
-def sailed(seconds: float, seed: int) -> np.ndarray:
+def sailed(seconds: float, seed: int, astern: float = THRUST) -> np.ndarray:
     """Return rows of time and COLUMNS at 10 Hz. The simulation uses Euler steps of 5 ms, white accelerations as gusts,
-    and white sensor noise.
+    and white sensor noise. The full thrust in reverse is `astern` [N].
     """
     rng, p, h = np.random.default_rng(seed), TRUE, 0.005
     gusts = (rng.normal(size=(round(seconds / h), 3)) * np.sqrt(h) * [0.02, 0.02, 0.04]).tolist()
@@ -65,7 +65,7 @@ def sailed(seconds: float, seed: int) -> np.ndarray:
             clean = np.array([x, y, psi, r, cos * u - sin * v, sin * u + cos * v])
             noisy = clean + rng.normal(size=6) * [0.02, 0.02, 0.005, 0.003, 0.02, 0.02]
             rows.append([k * h, *noisy, left, right])
-        f_left, f_right = THRUST * left * abs(left), THRUST * right * abs(right)
+        f_left, f_right = ((THRUST if n > 0.0 else astern) * n * abs(n) for n in (left, right))
         surge = (f_left + f_right + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"]
         sway = (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"]
         moment = ARM * (f_left - f_right) + (p["m_u"] - p["m_v"]) * u * v
@@ -82,9 +82,10 @@ def imported(
     extra: str = "",
     seconds: float = 120.0,
     gap: tuple[float, float] | None = None,
+    astern: float = THRUST,
 ) -> Path:
     """Import the boat's run as a log, by a map with these further tables and columns. The gyro may have a gap [s]."""
-    rows = sailed(seconds, 1)
+    rows = sailed(seconds, 1, astern)
     if gap is not None:
         rows = rows.copy()
         rows[(rows[:, 0] >= gap[0]) & (rows[:, 0] < gap[1]), 1 + list(COLUMNS).index("r")] = np.nan
@@ -191,6 +192,22 @@ def test_scale_and_geometry_in_the_map_give_kilograms(given: tuple[Path, dict[st
     assert rows["c1"]["origin"] == "given"
     # A correlation time of the sensors is at its bound, and its likelihood is not quadratic.
     assert rows["m_r"]["se"] < 0.05
+
+
+def test_thrust_ahead_alone_is_the_thrust_ahead(tmp_path: Path) -> None:
+    """It is not the mean of ahead and astern: the masses would be 1.2 times as large."""
+    tables = TABLES.replace("c1 = 12.0\nc2 = 0.0\n", "ahead = 12.0\n")
+    result, output, _ = fitted(imported(tmp_path, "run", tables, seconds=90.0, astern=8.0))
+    rows = rows_of(result)
+    assert codes(result) == []
+    assert "The thrust ahead was given, 12 N. By a first fit, that astern is " in " ".join(output.split())
+    assert rows["c1"]["origin"] == "given"
+    assert rows["c1"]["value"] + rows["c2"]["value"] == pytest.approx(12.0, rel=0.02)
+    for name, true in TRUE.items():
+        assert abs(rows[name]["value"] - true) < 3 * rows[name]["se"], (name, rows[name])
+    assert rows["m_u"]["value"] == pytest.approx(12.0, rel=0.05)
+    held, _, _ = fitted(tmp_path / "run.mcap", "--fix", "c2=2")
+    assert rows_of(held)["c1"]["value"] == pytest.approx(10.0)
 
 
 def test_weighed_mass_checks_the_mass_in_surge(given: tuple[Path, dict[str, Any]]) -> None:
