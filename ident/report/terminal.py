@@ -67,6 +67,7 @@ from seatrial.ident.results import (
     causes_sentence,
     curve_words,
     name_probabilities,
+    standard_error_sentence,
 )
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
@@ -566,6 +567,8 @@ def print_result(result: Result, console: Console) -> None:
         print_prose(console, Text(result.caveat, style="yellow"))
     if isinstance(result, DiagnosisResult) and (causes := causes_sentence(result.effects)):
         print_prose(console, Text(causes))
+    if errors := standard_error_sentence(result.answer, getattr(result, "caveat", None)):
+        print_prose(console, Text(errors, style="dim"))
     table: Table | None = None
     for table in _all_tables(result):
         if table is not None:

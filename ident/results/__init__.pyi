@@ -16,6 +16,7 @@ from .answers import implausible_mass as implausible_mass
 from .answers import moving_boat_warnings as moving_boat_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings
+from .answers import standard_error_sentence as standard_error_sentence
 from .answers import structure_warnings as structure_warnings
 from .answers import warm_up_notes as warm_up_notes
 from .campaigns import Campaign as Campaign

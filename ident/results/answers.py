@@ -118,6 +118,11 @@ SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a tur
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
 
+def standard_error_sentence(*texts: str | None) -> str:
+    """Return the sentence that explains ± as one standard error, if one of the texts has it; otherwise it is empty."""
+    return "± is one standard error." if any(text and "±" in text for text in texts) else ""
+
+
 def change_sentence(change: PredictionChangeRow, horizon: float, cross_validated: bool = False) -> str:
     """Return the sentence of a result on how added effects changed the prediction errors over the horizon.
 

@@ -581,8 +581,9 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
     """Return the estimates of an effect as a clause for reports, by the effect's own function ``Effect.in_words``.
 
     The function gets the estimates of all parameters of the model, in their units. Of a per-record parameter, the
-    estimate of the first record is used. Parameters of the effect at their bounds are named, because their values are
-    no estimates. The text is empty if the effect has no such function and no parameter at its bound.
+    estimate of the first record is used. ``Effect.in_words_of_data`` takes its place if the effect has one: it also
+    gets the last inputs of the estimation records. Parameters of the effect at their bounds are named, because their
+    values are no estimates. The text is empty if the effect has no such function and no parameter at its bound.
 
     Parameters
     ----------
@@ -592,8 +593,10 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         Fitted model, whose estimates are used.
     """
     words = ""
-    if effect.in_words is not None:
-        words = effect.in_words({p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters})
+    if effect.in_words_of_data is not None:
+        words = effect.in_words_of_data(_estimates(fitted), _last_inputs(fitted))
+    elif effect.in_words is not None:
+        words = effect.in_words(_estimates(fitted))
     if not (effect.parameters and fitted.fit.flags):
         return words
     stuck = [_named_value(p) for p in effect_parameter_rows(effect, fitted) if p.at_bound]
@@ -601,6 +604,21 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         return words
     limit = "is at the limit of this parameter" if len(stuck) == 1 else "are at the limits of these parameters"
     return "; ".join(filter(None, [words, f"{' and '.join(stuck)} {limit}, and so no estimate"]))
+
+
+def _estimates(fitted: FittedModel) -> dict[str, tuple[float, float]]:
+    """Return estimate and standard error of all parameters of a fitted model by name."""
+    return {p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters}
+
+
+def _last_inputs(fitted: FittedModel) -> dict[str, list[float]]:
+    """Return the last value of each input in each estimation record, by name of the input."""
+    last: dict[str, list[float]] = {}
+    for evaluated in fitted.estimation:
+        record = evaluated.record
+        for name, value in zip(record.inputs, record.u[-1], strict=True):
+            last.setdefault(name, []).append(float(value))
+    return last
 
 
 def _named_value(p: parts.EffectParameter) -> str:

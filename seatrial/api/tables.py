@@ -174,9 +174,13 @@ def statistics(row: ParameterRow) -> Statistics:
 def conclusion(result: Result) -> str:
     """Return the main conclusion of a result, followed by its caveat, which only a diagnosis may have.
 
-    Commands and their options are replaced by functions and arguments of the Python interface.
+    Commands and their options are replaced by functions and arguments of the Python interface. A last sentence explains
+    ± if the text has it.
     """
-    return in_python(" ".join(filter(None, (result.answer, getattr(result, "caveat", None)))))
+    from seatrial.ident.results import standard_error_sentence
+
+    texts = (result.answer, getattr(result, "caveat", None))
+    return in_python(" ".join(filter(None, (*texts, standard_error_sentence(*texts)))))
 
 
 def warning_texts(result: Result) -> list[str]:

@@ -593,6 +593,18 @@ def test_parameter_at_its_bound_is_no_finding_in_words() -> None:
     assert [row.at_bound for row in rows] == [True, False]
 
 
+def test_size_of_the_battery_loss_is_that_at_the_end_of_the_run_with_the_most_work() -> None:
+    effect = catalogue()["battery-sag"]
+    model = SimpleNamespace(parameters=effect.parameters, values={}, inputs=effect.inputs)
+    fit = a_fit(("beta_E",), [0.2], np.diag([0.02**2]), model)
+    fit.parameters, fit.records = effect.parameters, ("run1", "run2")
+    runs = [
+        SimpleNamespace(record=SimpleNamespace(inputs=("n", "work"), u=np.array([[1, 0.0], [1, w]]))) for w in (0.3, 2)
+    ]
+    told = in_words(effect, SimpleNamespace(fit=fit, estimation=runs))  # type: ignore[arg-type]
+    assert "work of 150 s at full power, the thrust is 40 ± 4 % smaller" in told
+
+
 def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:
     model = horizontal_model()
     thrust = model.values["c1"] + model.values["c2"]
