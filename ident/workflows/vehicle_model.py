@@ -119,9 +119,10 @@ class VehicleProblem:
         Signals of each log for the estimation, and of each log for the validation.
     notes
         Lines of text on geometry of the rig, calibration and priors.
-    noise_bounds
-        Line of text on the lower bounds of the noise of smoothed signals, if there are any. It is no warning, because
-        the checks of the logs have one.
+    noise_notes
+        Lines of text on the noise that the model assumes: states for the errors of a navigation filter, and lower
+        bounds of the noise of smoothed signals. They are no warnings: each fit to the logs would repeat them, and the
+        checks of the logs warn of signals that this can spoil.
     thrust
         Line of text on the signals that the thrust is computed from; empty if the thrust itself is an input.
     unused
@@ -134,7 +135,7 @@ class VehicleProblem:
     segments: list[LogSegment]
     validation: list[LogSegment]
     notes: list[str]
-    noise_bounds: list[str]
+    noise_notes: list[str]
     thrust: str
     unused: list[UnusedSignal]
     choice: str = ""
@@ -272,10 +273,9 @@ def vehicle_problem(
     source, sampled = with_sampled_inputs(source, loaded)
     model = choose_model(source, [*loaded, *validation_logs])
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
-    notes = [*sampled, *notes]
+    notes, noise_notes = [*sampled, *notes], list[str]()
     if not is_own_model(source):
-        model, navigation_notes = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
-        notes += navigation_notes
+        model, noise_notes = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
     if curve is not None:
         model, calibration_notes = with_calibration(model, curve, user_defined=is_own_model(source))
         notes += calibration_notes
@@ -291,9 +291,8 @@ def vehicle_problem(
     segments, validation = ([x.run for x in part] for part in (loaded, validation_logs))
     unused = unused_signals(model, loaded, validation_logs)
     choice = inputs_sentence(model, [*loaded, *validation_logs]) if source == "auto" else ""
-    return VehicleProblem(
-        model, segments, validation, [*notes, *fixed_notes], floors, thrust_from(model, loaded), unused, choice
-    )
+    notes, noise_notes = [*notes, *fixed_notes], [*noise_notes, *floors]
+    return VehicleProblem(model, segments, validation, notes, noise_notes, thrust_from(model, loaded), unused, choice)
 
 
 def _saved_problem(
