@@ -16,10 +16,12 @@ from seatrial.ident.diagnosis import (
     NAME_RECORDS,
     Diagnosis,
     DiagnosisEvaluation,
+    EffectAttribution,
     Outcome,
     Refit,
     Round,
     ValidationMismatch,
+    competitor_of,
     detectable_sizes,
     is_immaterial,
     reason_without_experiment,
@@ -656,7 +658,7 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
         f"It is not certain that {which} is {titles.get(j.effect, j.effect)}: {j.reasons[0]}." for j in doubted
     ]
     if doubted and recommended_experiment(diagnosis):
-        sentences.append("The recommended experiment (Next experiment, in the report) may decide this.")
+        sentences.append(_experiment_sentence(diagnosis, doubted[0]))
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
         gone = f", and removed {len(diagnosis.removed)} of them again" if diagnosis.removed else ""
@@ -668,6 +670,21 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     elif diagnosis.effects and diagnosis.remaining and not doubted:
         sentences += _remaining_sentences(diagnosis)
     return " ".join(sentences) or None
+
+
+def _experiment_sentence(diagnosis: Diagnosis, doubted: EffectAttribution) -> str:
+    """Return the sentence on the recommended experiment for the first effect of uncertain name.
+
+    The experiment may decide the doubt, unless the doubt is about a curve, from which no experiment distinguishes the
+    effect. The sentence then names the effect from which the experiment distinguishes it.
+    """
+    experiment = "The recommended experiment (Next experiment, in the report)"
+    competitor = competitor_of(diagnosis, doubted)
+    if competitor is None or doubted.doubt in ("", competitor):
+        return f"{experiment} may decide this."
+    titles = {q.effect.name: q.effect.title for r in diagnosis.rounds for q in r.refits}
+    title = titles.get(competitor) or candidate_title(competitor)
+    return f"{experiment} distinguishes it from {title}, which the data do not exclude either."
 
 
 def _physical_parameters(model: Model) -> list[str]:
