@@ -40,6 +40,7 @@ from seatrial.ident.results.answers import (
     change_sentence,
     check_warnings,
     course_sentence,
+    estimation_logs,
     failed_run_warnings,
     faults_first,
     frames_assumed,
@@ -154,7 +155,8 @@ def diagnosis_result(
     recommended = recommended_experiment(diagnosis)
     rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
     answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
-    course = course_sentence(dynamics.course if dynamics else None, diagnosis.after.fit.model)
+    stability = dynamics.course if dynamics else None
+    course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
     return DiagnosisResult(
