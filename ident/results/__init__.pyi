@@ -148,7 +148,6 @@ from .parts import VehicleResult as VehicleResult
 from .parts import Verdict as Verdict
 from .parts import WarningCode as WarningCode
 from .parts import WhitenessTests as WhitenessTests
-from .parts import flag_codes as flag_codes
 from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result
 from .result_file import to_json as to_json

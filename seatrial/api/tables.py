@@ -261,11 +261,9 @@ def labelled_covariance(covariance: NDArray[np.float64], names: Sequence[str]) -
 def frame(result: FitResult) -> Any:
     """Return the parameters of a fit as a ``pandas.DataFrame`` with a row for each; SeatrialError without pandas.
 
-    The flags are short codes (`flag_codes`); their texts stand in `summary`.
+    The flags are short codes; their texts stand in `summary`.
     """
-    from seatrial.ident.results import flag_codes
-
-    rows = [statistics(row)._replace(flag=flag_codes(row.flag or "")) for row in result.fit.parameters]
+    rows = [statistics(row)._replace(flag=row.flag_in_table) for row in result.fit.parameters]
     return import_library("pandas").DataFrame(rows, columns=list(Statistics._fields)).set_index("name")
 
 
