@@ -131,8 +131,8 @@ def assess_alternatives(
         others += [
             name for name in search_round.chosen.effect.alternatives if name in open_names and name not in others
         ]
-        texts, doubt = tuple(reason.text for reason in reasons), reasons[0].effect if reasons else ""
-        found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", texts, tuple(others), doubt))
+        texts, rival = tuple(reason.text for reason in reasons), reasons[0].effect if reasons else ""
+        found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", texts, tuple(others), rival))
     return tuple(found)
 
 
@@ -732,7 +732,7 @@ def competitor_of(diagnosis: Diagnosis, attribution: EffectAttribution) -> str |
     score test still passes.
     """
     titles, kinds = _titles_and_kinds(diagnosis)
-    named = [attribution.doubt] if kinds.get(attribution.doubt) is EffectKind.CATALOGUE else []
+    named = [attribution.rival] if kinds.get(attribution.rival) is EffectKind.CATALOGUE else []
     known = [name for name in (*named, *attribution.not_excluded) if name in titles and name != attribution.effect]
     return next((name for name in known if not is_special_case(attribution.effect, name)), None)
 

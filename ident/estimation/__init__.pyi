@@ -92,7 +92,6 @@ from .refitted_effect import RefittedEffect as RefittedEffect
 from .smoother import smooth as smooth
 from .smoother import smoothed_mean as smoothed_mean
 from .standard_errors import AT_BOUND as AT_BOUND
-from .standard_errors import AUTOCORRELATED_TOO_LONG as AUTOCORRELATED_TOO_LONG
 from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic

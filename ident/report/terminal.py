@@ -557,7 +557,9 @@ def print_result(result: Result, console: Console) -> None:
     console.print()
     failed = isinstance(result, FitResult) and not result.converged
     opening = [Text(f"⚠ {warning.text}", style="yellow") for warning in result.warnings]
-    answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
+    errors = standard_error_sentence(result.answer, getattr(result, "caveat", None))
+    text = " ".join(filter(None, (result.answer, errors)))
+    answer = Text(f"⚠ {text}", "bold yellow") if failed else Text(text, "bold")
     opening.insert(0 if isinstance(result, ComparisonResult) else len(opening), answer)
     for paragraph in opening:
         print_prose(console, paragraph)
@@ -567,8 +569,6 @@ def print_result(result: Result, console: Console) -> None:
         print_prose(console, Text(result.caveat, style="yellow"))
     if isinstance(result, DiagnosisResult) and (causes := causes_sentence(result.effects)):
         print_prose(console, Text(causes))
-    if errors := standard_error_sentence(result.answer, getattr(result, "caveat", None)):
-        print_prose(console, Text(errors, style="dim"))
     table: Table | None = None
     for table in _all_tables(result):
         if table is not None:

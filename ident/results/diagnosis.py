@@ -677,12 +677,12 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
 def _experiment_sentence(diagnosis: Diagnosis, doubted: EffectAttribution) -> str:
     """Return the sentence on the recommended experiment for the first effect of uncertain name.
 
-    The experiment may decide the doubt, unless the doubt is about a curve, from which no experiment distinguishes the
-    effect. The sentence then names the effect from which the experiment distinguishes it.
+    The experiment may decide which effect it is, unless the first reason against the name is a curve, from which no
+    experiment distinguishes the effect. The sentence then names the effect from which the experiment distinguishes it.
     """
     experiment = "The recommended experiment (Next experiment, in the report)"
     competitor = competitor_of(diagnosis, doubted)
-    if competitor is None or doubted.doubt in ("", competitor):
+    if competitor is None or doubted.rival in ("", competitor):
         return f"{experiment} may decide this."
     titles = {q.effect.name: q.effect.title for r in diagnosis.rounds for q in r.refits}
     title = titles.get(competitor) or candidate_title(competitor)

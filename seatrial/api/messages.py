@@ -42,8 +42,9 @@ ARGUMENTS = {
 
 # Options with values, which become one argument: --fix y_left=-0.3, --effect wind --effect lag, or --rate 10
 VALUE = r"(?:[-+]?\w+(?:\.\w+)*(?:(?<=e)[-+]\d+)?|\.\.\.)"
-NUMBER = r"\d+(?:\.\d+)?(?:e[-+]?\d+)?(?:x\d+(?:\.\d+)?)?(?![\w-]|[.,]\d)"
-NAME = r"[A-Za-z]\w*(?:-\w+)*"
+# A value before a colon stays, as in the error "rate 1000: give a number from 1 to 200".
+NUMBER = r"\d+(?:\.\d+)?(?:e[-+]?\d+)?(?:x\d+(?:\.\d+)?)?(?![\w:-]|[.,]\d)"
+NAME = r"[A-Za-z]\w*(?:-\w+)*(?![\w:-])"
 WITH_NUMBER = (
     "rate", "horizon", "max-effects", "settle", "n-max", "max-speed", "area", "energy", "current", "evaluations",
     "duration", "mass", "inertia", "jobs", "steps", "seed", "slew", "false-discovery-rate",
@@ -54,7 +55,7 @@ VALUE_OF_OPTION = re.compile(
     rf"|(?P<of_names>--(?:{'|'.join(WITH_NAMES)})) (?P<item>{NAME})"
     rf"|(?P<of_number>--(?:{'|'.join(WITH_NUMBER)})) (?P<number>{NUMBER})"
     r"|(?P<of_model>--model) "
-    r"(?P<model>(?:horizontal|nomoto|kinematic|surge|yaw)(?::[\w:-]*\w)?(?![\w-])|[\w./-]+\.toml)"
+    r"(?P<model>(?:horizontal|nomoto|kinematic|surge|yaw)(?::[\w:-]*\w)?|[\w./-]+\.toml)(?![\w-]|: )"
 )
 VALUES_OF_OPTIONS = re.compile("{0}(?: {0})*".format("(?:" + re.sub(r"\?P<\w+>", "?:", VALUE_OF_OPTION.pattern) + ")"))
 FLAG = re.compile(r" (--[a-z]+(?:-[a-z]+)*)$")  # an option without a value at the end of a command
@@ -149,10 +150,11 @@ def _with_values(options: str, arguments: Mapping[str, str]) -> str:
 
 def _arguments(values: Mapping[str, Sequence[str]], arguments: Mapping[str, str]) -> list[str]:
     """Return one text with the arguments of Python for the values of each option; an empty list without options."""
-    brackets = dict.fromkeys(("--fix", "--initial", "--prior"), "{}") | {f"--{name}": "[]" for name in WITH_NAMES}
+    brackets = {f"--{name}": ("[", "]") for name in WITH_NAMES}
+    brackets |= dict.fromkeys(("--fix", "--initial", "--prior"), ("{", "}"))
     texts = []
     for option, words in values.items():
-        left, right = brackets.get(option) or ("", "")
+        left, right = brackets.get(option, ("", ""))
         texts.append(f"{arguments.get(option, option)}={left}{', '.join(words)}{right}")
     return [", ".join(texts)] if texts else []
 

@@ -1582,7 +1582,8 @@ def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
     logs: list[Path], fit: st.FittedVehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A flag of an estimate, an answer and the advice of a check may name options, which are arguments in Python."""
-    rows = [structs.replace(p, flag="at its bound. Fix it (--fix d_rr=0)") for p in fit.result.fit.parameters]
+    flag: dict[str, Any] = {"flag": "at its bound. Fix it (--fix d_rr=0)", "flag_codes": ("at bound",)}
+    rows = [structs.replace(p, **flag) for p in fit.result.fit.parameters]
     result = structs.replace(fit.result, fit=structs.replace(fit.result.fit, parameters=tuple(rows)))
     result = structs.replace(result, answer="The mass is uncertain: give it (--fix e_psi=VALUE) or --prior m_u=30:2.")
     told = replace(fit, result=result)

@@ -54,6 +54,8 @@ ROOT = Path(__file__).parents[2]
             "the rows need --rate 10; --max-speed 1.5, --energy 0.2.",
             "the rows need rate=10; max_speed=1.5, energy=0.2.",
         ),
+        ("--exclude mismatch: the model contains it", "exclude mismatch: the model contains it"),
+        ("--jobs 0: give a number of processes", "jobs 0: give a number of processes"),
         ("give --rate or --settle 0.4.", "give rate or settle=0.4."),
         ("that keeps to --area 60x40", "that keeps to area=(60, 40)"),
         ("add it (--effect wind --effect gnss-latency)", "add it (effects=['wind', 'gnss-latency'])"),
