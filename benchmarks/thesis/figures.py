@@ -23,7 +23,7 @@ from seatrial.ident.report.drawing import (
     line_trace,
     stacked,
 )
-from seatrial.ident.report.page import compose
+from seatrial.ident.report.page import Answer, compose
 
 COLORS = {"measured": MEASURED, "model": MODEL, "other": BEFORE, "truth": GREEN}
 POINTS = 60_000  # largest number of points on the page
@@ -136,7 +136,7 @@ def write_figures(path: Path, kind: str, answer: str, lead: str, parts: Sequence
     canvas = Canvas(Budget.for_traces(n_curves, POINTS))
     body = [_page_section(canvas, part) for part in parts]
     opening = Section("top", "", [Prose(lead, "lead")])
-    page = compose(kind, answer, opening, body, canvas.figures, version=version("seatrial"))
+    page = compose(kind, Answer(answer), opening, body, canvas.figures, version=version("seatrial"))
     path.write_text(page, encoding="utf-8", newline="\n")
 
 

@@ -143,7 +143,7 @@ def compare_headings(logs: Sequence[tuple[str, HeadingAngle | None]]) -> list[tu
     angles = ", ".join(f"{name} {angle.text}" for name, angle in known.items())
     text = (
         "the angle from the motion through the water to the measured heading differs between the logs by more than its "
-        f"errors: {angles} (clockwise)"
+        f"errors: {angles} (clockwise, ± one standard error)"
     )
     advice = (
         "look whether the heading sensor was turned, remounted or calibrated anew between the logs, and mount it as "

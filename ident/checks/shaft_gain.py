@@ -44,9 +44,9 @@ class Change(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Size of the change in per cent, with its standard error: ``5.1 % (± 0.6 %) lower``."""
+        """Size of the change in per cent, with its standard error: ``5.1 % (standard error 0.6 %) lower``."""
         way = "lower" if self.change < 0.0 else "higher"
-        return f"{100 * abs(self.change):.1f} % (± {100 * self.error:.1g} %) {way}"
+        return f"{100 * abs(self.change):.1f} % (standard error {100 * self.error:.1g} %) {way}"
 
 
 class Held(NamedTuple):

@@ -20,6 +20,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +39,21 @@ HEADING_ERROR, YAW_RATE = "psi", "r"  # sensor error that is a curve, and channe
 MOST_ADVISED = 3  # candidates that the advice on an experiment names
 MOST_SIZES = 4  # sizes of an effect that a reason for ambiguity lists
 SIZE_IS_KNOWN = 1.96  # standard errors from zero, from which the 95 % interval of a size does not contain zero
+
+
+class Reason(NamedTuple):
+    """Reason for an ambiguous attribution.
+
+    Attributes
+    ----------
+    text
+        Clause for reports.
+    effect
+        Name of the other effect or curve that the clause is about; empty if it is about none.
+    """
+
+    text: str
+    effect: str = ""
 
 
 @dataclass(frozen=True)
@@ -115,7 +131,10 @@ def assess_alternatives(
         others += [
             name for name in search_round.chosen.effect.alternatives if name in open_names and name not in others
         ]
-        found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", tuple(reasons), tuple(others)))
+        texts, competitor = tuple(reason.text for reason in reasons), reasons[0].effect if reasons else ""
+        found.append(
+            EffectAttribution(name, "ambiguous" if reasons else "identified", texts, tuple(others), competitor)
+        )
     return tuple(found)
 
 
@@ -151,7 +170,7 @@ def _explained(evidence: AttributionEvidence, policy: SearchPolicy) -> set[str]:
 
 def _remaining_test_reasons(
     search_round: Round, rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy
-) -> tuple[list[str], list[str]]:
+) -> tuple[list[Reason], list[str]]:
     """Return the reasons for ambiguity that score tests still pass, and the declared alternatives among these.
 
     The effect is the chosen one of ``search_round``, which is parametric. ``rounds`` are all rounds. An effect that
@@ -218,7 +237,7 @@ def _error_ratios(weight: EffectImportance) -> list[float]:
 
 def _own_reasons(
     search_round: Round, rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy
-) -> list[str]:
+) -> list[Reason]:
     """Return the reasons for ambiguity other than score tests that still pass; [] if there are none.
 
     The arguments are those of `_remaining_test_reasons`.
@@ -238,11 +257,11 @@ def _own_reasons(
         *_failed_candidate_reasons(search_round),
         *_explained_by_parameters_reasons(effect, _explained(evidence, policy)),
         *_no_better_prediction_reasons(effect.name, importance, policy),
-        *evidence.reservations,
+        *map(Reason, evidence.reservations),
     ]
 
 
-def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]:
+def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[Reason]:
     """Return the reason for ambiguity that the score tests still find a large effect; empty if ``strong`` is empty.
 
     ``strong`` are the scores on the last model that pass and exceed the limit of the criterion. The limit is the larger
@@ -254,12 +273,15 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
         return []
     best = max(strong, key=lambda s: s.criterion(n))
     return [
-        f"even with it in the model, the score tests still find {_finding_in_words(best)} (expected ΔBIC "
-        f"{best.criterion(n):.0f}), which may be the true cause"
+        Reason(
+            f"even with it in the model, the score tests still find {_finding_in_words(best)} (expected ΔBIC "
+            f"{best.criterion(n):.0f}), which may be the true cause",
+            best.name,
+        )
     ]
 
 
-def _many_remaining_tests_reasons(remaining: Sequence[Score], n_tests: int, policy: SearchPolicy) -> list[str]:
+def _many_remaining_tests_reasons(remaining: Sequence[Score], n_tests: int, policy: SearchPolicy) -> list[Reason]:
     """Return the reason for ambiguity that too many score tests still pass, else [].
 
     The limit is the larger of ``policy.max_remaining_tests`` and the share ``policy.max_remaining_test_share`` of the
@@ -271,8 +293,11 @@ def _many_remaining_tests_reasons(remaining: Sequence[Score], n_tests: int, poli
     if len(remaining) <= max(policy.max_remaining_tests, policy.max_remaining_test_share * n_tests):
         return []
     return [
-        f"even with it in the model, {len(remaining)} score tests still find something, most of all "
-        f"{_finding_in_words(remaining[0])}: another effect may be the true cause"
+        Reason(
+            f"even with it in the model, {len(remaining)} score tests still find something, most of all "
+            f"{_finding_in_words(remaining[0])}: another effect may be the true cause",
+            remaining[0].name,
+        )
     ]
 
 
@@ -303,7 +328,7 @@ def _alternatives_still_found(search_round: Round, remaining: Sequence[Score], n
     return [s.name for s in remaining if s.name in chosen.effect.alternatives and s.name not in larger - better]
 
 
-def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
+def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[Reason]:
     """Return the reason for ambiguity that a declared alternative still passes its score test; [] without such a one.
 
     ``alternatives`` are the names of these alternatives (`_alternatives_still_found`). The reason names all of them.
@@ -311,7 +336,8 @@ def _remaining_alternative_reasons(alternatives: Sequence[str]) -> list[str]:
     if not alternatives:
         return []
     found, acts = " and ".join(map(_titled, alternatives)), "acts" if len(alternatives) == 1 else "act"
-    return [f"even with it in the model, the score tests still find {found}, which {acts} in a similar way"]
+    text = f"even with it in the model, the score tests still find {found}, which {acts} in a similar way"
+    return [Reason(text, alternatives[0])]
 
 
 def _titled(name: str) -> str:
@@ -320,7 +346,7 @@ def _titled(name: str) -> str:
     return f"'{name}'" if effect is None else f"{effect.title} ('{name}')"
 
 
-def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: SearchPolicy) -> list[str]:
+def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: SearchPolicy) -> list[Reason]:
     """Return the reason for ambiguity that the effect of a refit may only correct the form of a much stronger effect.
 
     This is so if the criterion of the effect is below ``policy.form_share`` of that of the strong effect, and one of
@@ -332,12 +358,13 @@ def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: Sear
     related = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
     if not related:
         return []
-    return [f"it is small beside {related[0].title}, and may only correct the formula of that effect"]
+    text = f"it is small beside {related[0].title}, and may only correct the formula of that effect"
+    return [Reason(text, related[0].name)]
 
 
 def _undetermined_size_reasons(
     effect: Effect, chosen: Sequence[Refit], fitted: FittedModel, policy: SearchPolicy
-) -> list[str]:
+) -> list[Reason]:
     """Return the reason for ambiguity that a parameter of the effect is at its bound, or its size is not significant.
 
     The size consists of the fitted parameters whose initial value is 0. Their joint distance from zero has to be at
@@ -357,7 +384,7 @@ def _undetermined_size_reasons(
         if p.full_name in stuck:
             name, value, _, unit = _reported_estimate(fit, p)
             bound = f"{value:.3g} {unit}".rstrip()
-            return [f"its parameter {name} ({p.meaning}) is at its bound, {bound}, and so no estimate"]
+            return [Reason(f"its parameter {name} ({p.meaning}) is at its bound, {bound}, and so no estimate")]
     if any(c.effect.is_table_of(effect.nonparametric_of) for c in chosen):
         return []
     sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
@@ -372,7 +399,7 @@ def _undetermined_size_reasons(
     if distance >= SIZE_IS_KNOWN:
         size = "its size is" if len(sizes) == 1 else "its sizes together are"
         why = f"{size} {distance:.1f} standard errors from zero (a sure name needs {policy.min_significance:g})"
-    return [f"{why}: {', '.join(shown)}"]
+    return [Reason(f"{why}: {', '.join(shown)}")]
 
 
 def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
@@ -385,7 +412,7 @@ def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
     return reported.scale.name(p.full_name, p.unit), *estimate, reported.scale.unit(p.unit)
 
 
-def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
+def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[Reason]:
     """Return the reason for ambiguity that the data do not determine the position of an effect (such as a mooring).
 
     The position is undetermined if ``policy.position_reach`` joint standard errors are not less than its RMS distance
@@ -405,10 +432,10 @@ def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: 
     if policy.position_reach * float(np.linalg.norm(fit.errors[at])) < away:
         return []
     values = ", ".join(f"{fit.names[i]} = {fit.values[i]:.3g} ± {fit.errors[i]:.2g} m" for i in at)
-    return [f"the data do not determine its position, {away:.0f} m from the boat: {values}"]
+    return [Reason(f"the data do not determine its position, {away:.0f} m from the boat: {values}")]
 
 
-def _unusual_position_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
+def _unusual_position_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[Reason]:
     """Return the reason for ambiguity that a position on the boat is far from where such positions are.
 
     A position on the boat is a parameter in m that describes the form of the effect, for example the position of the
@@ -425,10 +452,11 @@ def _unusual_position_reasons(effect: Effect, fitted: FittedModel, policy: Searc
         if abs(value - mean) > policy.max_position_distance * math.hypot(sd, error):
             given = p.origin is ParameterOrigin.PRIOR
             far = "far from the given position" if given else "unusual for a boat of this size"
-            return [
+            text = (
                 f"its parameter {p.name} ({p.meaning}) is {value:.2f} ± {error:.2f} m, which is {far} "
                 f"({mean:.2f} ± {sd:.2f} m): something else may act in a similar way"
-            ]
+            )
+            return [Reason(text)]
     return []
 
 
@@ -465,7 +493,7 @@ def _finding_in_words(score: Score) -> str:
 
 def _nonparametric_curve_reasons(
     chosen: Sequence[Refit], search_round: Round, unaffected: bool, policy: SearchPolicy
-) -> list[str]:
+) -> list[Reason]:
     """Return the reasons for ambiguity of the effect of a round that nonparametric effects give; [] if there are none.
 
     There is one reason for each nonparametric effect in ``chosen`` (refits of all chosen effects). Two kinds are no
@@ -479,13 +507,13 @@ def _nonparametric_curve_reasons(
     if unaffected:  # a small curve beside an effect that keeps its size with it is no reason against that effect
         small = {c.effect.name for c in chosen if c.criterion < policy.max_curve_share * own}
         beside = [effect for effect in beside if effect.name not in small]
-    reasons = [f"it is not enough alone: {effect.title} had to be added too" for effect in beside]
+    reasons = [Reason(f"it is not enough alone: {e.title} had to be added too", e.name) for e in beside]
     better = [
         q
         for q in search_round.refits
         if q.nonparametric and is_accepted(q, policy) and q.criterion > search_round.chosen.criterion
     ]
-    return reasons + [f"{q.effect.title} would explain more than it" for q in better[:1]]
+    return reasons + [Reason(f"{q.effect.title} would explain more than it", q.effect.name) for q in better[:1]]
 
 
 def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
@@ -509,13 +537,14 @@ def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
     return sorted(others, key=lambda q: -q.criterion)
 
 
-def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[str]:
+def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[Reason]:
     """Return the reason for ambiguity that a competing model explains about as much; [] without a competing model.
 
     The reason compares the competing model with the largest criterion with the chosen effect of the round.
     """
     assert search_round.chosen is not None
-    return [_comparison_in_words(q, search_round.chosen, policy) for q in _competing_refits(search_round, policy)[:1]]
+    closest = _competing_refits(search_round, policy)[:1]
+    return [Reason(_comparison_in_words(q, search_round.chosen, policy), q.effect.name) for q in closest]
 
 
 def _comparison_in_words(competitor: Refit, chosen: Refit, policy: SearchPolicy) -> str:
@@ -538,17 +567,17 @@ def _comparison_in_words(competitor: Refit, chosen: Refit, policy: SearchPolicy)
     return f"{title} explains the data nearly as well (its ΔBIC is {behind:.0f} worse)"
 
 
-def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[str]:
+def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[Reason]:
     """Return a reason for ambiguity for each declared alternative of the effect that was not tested on these data.
 
     A declared alternative is an effect that `Effect.alternatives` lists. ``untested`` are the names of all effects that
     were not tested. The list is empty if no alternative is among them.
     """
     lost = [name for name in effect.alternatives if name in untested]
-    return [f"{_titled(name)} acts in a similar way, and could not be tested on these data" for name in lost]
+    return [Reason(f"{_titled(n)} acts in a similar way, and could not be tested on these data", n) for n in lost]
 
 
-def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str]) -> list[str]:
+def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str]) -> list[Reason]:
     """Return the reasons for ambiguity that the estimated parameters of the model explain the effect or alternatives.
 
     ``explained`` are the names of the effects that the parameters explain nearly completely: a change of the parameters
@@ -557,29 +586,24 @@ def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str])
     unexplained rest of such an alternative is only a difference of form, which looks like the effect.
     """
     if effect.name in explained:
-        return ["other parameters of the model take up nearly all of it, so that these data cannot test it"]
+        return [Reason("other parameters of the model take up nearly all of it, so that these data cannot test it")]
     names = [name for name in effect.alternatives if name in explained]
-    return [
-        f"{_titled(name)} acts in a similar way, and these data cannot test it, because other parameters of the model "
-        "take up nearly all of it"
-        for name in names
-    ]
+    why = "and these data cannot test it, because other parameters of the model take up nearly all of it"
+    return [Reason(f"{_titled(name)} acts in a similar way, {why}", name) for name in names]
 
 
-def _failed_candidate_reasons(search_round: Round) -> list[str]:
+def _failed_candidate_reasons(search_round: Round) -> list[Reason]:
     """Return the reason for ambiguity that a candidate of the same round passed its score test but could not be fitted.
 
     Such a candidate may be the right one. Only the first is named; the list is empty if there is none.
     """
-    return [
-        f"{u.effect.title} may be the true cause too: it passes the score test, but could not be fitted ({u.reason})"
-        for u in search_round.untested[:1]
-    ]
+    why = "may be the true cause too: it passes the score test, but could not be fitted"
+    return [Reason(f"{u.effect.title} {why} ({u.reason})", u.effect.name) for u in search_round.untested[:1]]
 
 
 def _insignificant_prediction_reasons(
     name: str, importances: Sequence[EffectImportance], policy: SearchPolicy
-) -> list[str]:
+) -> list[Reason]:
     """Return what else a reader should know of an ambiguous effect: its change of the prediction is not significant.
 
     Alone this is no reason for ambiguity, since an effect may improve the prediction over some seconds only. The list
@@ -597,7 +621,7 @@ def _insignificant_prediction_reasons(
         return []
     change, low, high = (f"{100.0 * (ratio - 1.0):+.0f}" for ratio in ratios)
     interval = f"{change} %, 95 %: {low} to {high} %"
-    return [f"with it the error {found.horizon:g} s ahead is not significantly smaller ({interval})"]
+    return [Reason(f"with it the error {found.horizon:g} s ahead is not significantly smaller ({interval})")]
 
 
 def _predicts_no_better(weight: EffectImportance, policy: SearchPolicy) -> bool:
@@ -612,7 +636,7 @@ def _predicts_no_better(weight: EffectImportance, policy: SearchPolicy) -> bool:
 
 def _no_better_prediction_reasons(
     name: str, importance: Mapping[str, EffectImportance], policy: SearchPolicy
-) -> list[str]:
+) -> list[Reason]:
     """Return the reason for ambiguity that the prediction is hardly better with an effect, or could not be tested.
 
     ``name`` is the name of the effect, with its importance in ``importance``. The list is empty if the prediction is
@@ -624,20 +648,21 @@ def _no_better_prediction_reasons(
     """
     weight = importance.get(name)
     if weight is not None and weight.untested is not None:
-        return [f"the prediction without this effect could not be tested: {weight.untested}"]
+        return [Reason(f"the prediction without this effect could not be tested: {weight.untested}")]
     if weight is None:
         return []
     if _predicts_no_better(weight, policy):
         horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
-        return [f"the prediction{horizon} is no better with this effect"]
+        return [Reason(f"the prediction{horizon} is no better with this effect")]
     ratios = _error_ratios(weight)
     least = policy.min_identified_ratio_beside if name in HULL_FORM else policy.min_identified_ratio
     if max(ratios) >= least:
         return []
-    return [
+    text = (
         f"without this effect the prediction error is only {100 * (max(ratios) - 1):.0f} % larger, and small "
         "imperfections of another kind may have the same effect"
-    ]
+    )
+    return [Reason(text)]
 
 
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:
@@ -656,33 +681,23 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
 
     Notes
     -----
+    - The effects of uncertain name come first, in the order of the answer.
     - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
-      command that designs a mission to distinguish it from the closest of them. The command is left out if one of both
-      is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be designed
-      for the model. A special case of the effect, or an effect that contains it, is no competing model here.
+      command that designs a mission to distinguish it from one of them (`competitor_of`). The command is left out if
+      one of both is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be
+      designed for the model.
     - An ambiguous effect or a nonparametric curve without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
     """
-    refits = [q for r in diagnosis.rounds for q in r.refits]
-    titles = {s.name: s.name for s in diagnosis.remaining} | {q.effect.name: q.effect.title for q in refits}
-    kinds = {s.name: s.kind for s in diagnosis.remaining} | {q.effect.name: q.effect.kind for q in refits}
-    by_name = {j.effect: j for j in diagnosis.attributions}
+    titles, kinds = _titles_and_kinds(diagnosis)
+    chosen = {r.chosen.effect.name: r.chosen.effect for r in diagnosis.rounds if r.chosen is not None}
     lines = []
-    for search_round in diagnosis.rounds:
-        if search_round.chosen is None or search_round.chosen.effect.name not in by_name:
-            if not diagnosis.effects and search_round.refits and search_round.refits[0].effect.experiment:
-                e = search_round.refits[0].effect
-                lines.append(
-                    f"To test whether {e.title} is present, which came closest in a round of the search and was not "
-                    f"added: {e.experiment}."
-                )
+    for attribution in sorted(diagnosis.attributions, key=lambda j: j.attribution != "ambiguous"):
+        effect = chosen.get(attribution.effect)
+        if effect is None:
             continue
-        effect = search_round.chosen.effect
-        attribution = by_name[effect.name]
-        competitors = [name for name in attribution.not_excluded if name in titles]
-        # One effect that is a special case of the other cannot be told apart from it.
-        competitor = next((name for name in competitors if not is_special_case(effect.name, name)), None)
+        competitor = competitor_of(diagnosis, attribution)
         if competitor is not None:
             lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
             of_catalogue = kinds[effect.name] is kinds[competitor] is EffectKind.CATALOGUE
@@ -698,7 +713,36 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
             lines.append(
                 f"To find what the curve {effect.name.removeprefix('unknown ')} stands for: {effect.experiment}."
             )
+    named = {attribution.effect for attribution in diagnosis.attributions}
+    for search_round in diagnosis.rounds if not diagnosis.effects else ():
+        added = search_round.chosen is not None and search_round.chosen.effect.name in named
+        if not added and search_round.refits and (e := search_round.refits[0].effect).experiment:
+            lines.append(
+                f"To test whether {e.title} is present, which came closest in a round of the search and was not "
+                f"added: {e.experiment}."
+            )
     return " ".join(dict.fromkeys(lines)) or None  # an effect can come closest in several rounds
+
+
+def competitor_of(diagnosis: Diagnosis, attribution: EffectAttribution) -> str | None:
+    """Return the name of the competing model from which the recommended experiment distinguishes an effect.
+
+    It is the one that the first reason against the effect names, if it is an effect of the catalogue. Otherwise it is
+    the closest of the models that are not excluded. A special case of the effect, or an effect that contains it, is no
+    competing model here: no experiment tells them apart. The result is None if there is none that was fitted, or whose
+    score test still passes.
+    """
+    titles, kinds = _titles_and_kinds(diagnosis)
+    named = [attribution.competitor] if kinds.get(attribution.competitor) is EffectKind.CATALOGUE else []
+    known = [name for name in (*named, *attribution.not_excluded) if name in titles and name != attribution.effect]
+    return next((name for name in known if not is_special_case(attribution.effect, name)), None)
+
+
+def _titles_and_kinds(diagnosis: Diagnosis) -> tuple[dict[str, str], dict[str, EffectKind]]:
+    """Return titles and kinds of the effects that were fitted or whose score test still passes, by name."""
+    effects = [q.effect for r in diagnosis.rounds for q in r.refits]
+    titles = {s.name: s.name for s in diagnosis.remaining} | {e.name: e.title for e in effects}
+    return titles, {s.name: s.kind for s in diagnosis.remaining} | {e.name: e.kind for e in effects}
 
 
 def _advice_on_remaining(diagnosis: Diagnosis) -> str:

@@ -305,12 +305,15 @@ class EffectAttribution:
         Names of the competing models that the data do not exclude, closest first. Declared alternatives
         (`Effect.alternatives`) follow that could not be tested, that the estimated parameters of the model explain, so
         that their score tests have no power, or whose score tests still pass beside several added effects.
+    competitor
+        Name of the effect or curve that the first of the ``reasons`` is about; empty if it is about none.
     """
 
     effect: str
     attribution: Attribution
     reasons: tuple[str, ...] = ()
     not_excluded: tuple[str, ...] = ()
+    competitor: str = ""
 
 
 @dataclass(frozen=True)

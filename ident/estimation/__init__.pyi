@@ -28,7 +28,7 @@ from .fitted_model import without_absent_sensors as without_absent_sensors
 from .fitted_model import without_unknown_noise as without_unknown_noise
 from .given_priors import BEYOND_PRIOR as BEYOND_PRIOR
 from .given_priors import exceeded_prior as exceeded_prior
-from .given_priors import given_prior_remark as given_prior_remark
+from .given_priors import given_prior_flags as given_prior_flags
 from .homogeneity import HomogeneityTest as HomogeneityTest
 from .homogeneity import ParameterShift as ParameterShift
 from .homogeneity import between_runs as between_runs
@@ -92,8 +92,6 @@ from .refitted_effect import RefittedEffect as RefittedEffect
 from .smoother import smooth as smooth
 from .smoother import smoothed_mean as smoothed_mean
 from .standard_errors import AT_BOUND as AT_BOUND
-from .standard_errors import AUTOCORRELATED_TOO_LONG as AUTOCORRELATED_TOO_LONG
-from .standard_errors import FROM_PRIOR as FROM_PRIOR
 from .standard_errors import VAGUE as VAGUE
 from .stochastic_simulation import SampledInputs as SampledInputs
 from .stochastic_simulation import simulate_stochastic as simulate_stochastic

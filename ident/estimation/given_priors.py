@@ -6,7 +6,7 @@ import math
 
 from seatrial.ident.estimation.standard_errors import MOSTLY_PRIOR
 from seatrial.ident.estimation.thrust_scale import value_of_data
-from seatrial.ident.model import Parameter, ParameterOrigin
+from seatrial.ident.model import Flag, Parameter, ParameterOrigin
 
 LEAST_EXCESS = 1.01  # standard error over that of the prior, from which it counts as larger
 BEYOND_PRIOR = (
@@ -42,10 +42,10 @@ def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
     return given if error > LEAST_EXCESS * max(given, at_estimate) else None
 
 
-def given_prior_remark(
+def given_prior_flags(
     p: Parameter, estimate: tuple[float, float], weight: float, factor: float = 1.0, unit: str | None = None
-) -> str:
-    """Return one line on a prior that the user gave: the given value, that of the data, and the estimate.
+) -> tuple[Flag, ...]:
+    """Return the flags on a prior that the user gave: the given value, that of the data, the estimate, a larger error.
 
     Parameters
     ----------
@@ -60,16 +60,16 @@ def given_prior_remark(
 
     Returns
     -------
-    str
-        Empty if the user gave no prior, or if the line would say nothing: the data have a tenth of the information or
+    tuple of Flag
+        Empty if the user gave no prior, or if the flag would say nothing: the data have a tenth of the information or
         more, and the standard error is not larger than that of the prior.
     """
     if not p.free or p.provenance is ParameterOrigin.ESTIMATED or p.prior is None:
-        return ""
+        return ()
     (value, error), (mean, sd) = estimate, p.prior
     is_larger = exceeded_prior(p, value, error) is not None
     if not is_larger and not weight > MOSTLY_PRIOR:
-        return ""
+        return ()
 
     def shown(x: float, spread: float = math.nan) -> str:
         """Return a value with its standard deviation, if it has one, in the reported unit."""
@@ -82,5 +82,7 @@ def given_prior_remark(
         if alone is not None
         else (f"the data have {100.0 * (1.0 - weight):.0f} % of the information, too little for a value of their own")
     )
-    why = f"; its standard error is larger than the given one, because {BEYOND_PRIOR}" if is_larger else ""
-    return f"given {shown(mean, sd)}; {data}; fitted {shown(value, error)}{why}"
+    found = Flag("prior", f"given {shown(mean, sd)}; {data}; fitted {shown(value, error)}")
+    if not is_larger:
+        return (found,)
+    return found, Flag("larger error", f"its standard error is larger than the given one, because {BEYOND_PRIOR}")

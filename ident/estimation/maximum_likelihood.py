@@ -27,7 +27,7 @@ from seatrial.ident.estimation.standard_errors import (
     widened,
     with_interval_information,
 )
-from seatrial.ident.model import Model, Parameter, segment_name
+from seatrial.ident.model import Flag, Model, Parameter, segment_name
 from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.numerics import Array
 
@@ -209,7 +209,7 @@ class Fit:
     cpu_seconds
         Processor time of the fit [s].
     flags
-        Pairs (full name of a parameter, remark), such as "at its bound".
+        Pairs (full name of a parameter, flag), such as "at its bound".
     converged, message
         Whether one more step is expected to gain less than 0.125 in log-posterior (the estimates are then within half a
         standard error of the maximum), or less than the tolerance of the search if that is larger; and a clause about
@@ -239,7 +239,7 @@ class Fit:
     iterations: int
     evaluations: int
     cpu_seconds: float
-    flags: tuple[tuple[str, str], ...]
+    flags: tuple[tuple[str, Flag], ...]
     converged: bool
     message: str
 
@@ -430,7 +430,7 @@ def _assess_uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -
         considered,
         problem.value if with_robust else None,
     )
-    known = replace(known, flags=(*known.flags, *[(problem.names[p.coordinate], p.remark) for p in flat]))
+    known = replace(known, flags=(*known.flags, *[(problem.names[p.coordinate], p.flag) for p in flat]))
     robust = Sandwich(*np.full((3, z.size), np.nan))
     if with_robust:
         robust = sandwich(known, problem.by_row(z), slopes, problem.prior[1])

@@ -17,13 +17,12 @@ from seatrial.daq.files import write_output
 from seatrial.daq.log import is_log
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.effects import catalogue, input_response_effects, nonparametric_effect
-from seatrial.ident.estimation.given_priors import given_prior_remark
+from seatrial.ident.estimation.given_priors import given_prior_flags
 from seatrial.ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from seatrial.ident.estimation.interval_widening import ErrorScale, IntervalCalibration
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
 from seatrial.ident.estimation.refitted_effect import RefittedEffect
-from seatrial.ident.estimation.standard_errors import FROM_PRIOR
 from seatrial.ident.estimation.thrust_scale import thrust_scale_of
 from seatrial.ident.model import (
     Effect,
@@ -435,9 +434,9 @@ def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, A
     if p.per_record:
         row["per_record"] = True
     flag, share = dict(fit.flags).get(p.name), 0.0 if at is None else float(fit.prior_weight[at])
-    if line := given_prior_remark(p, (value, float(error)), share):
-        flag = line if flag is None or flag.endswith(FROM_PRIOR) else f"{flag}; {line}"
-    return row if flag is None else row | {"flag": flag}
+    of_prior = given_prior_flags(p, (value, float(error)), share)
+    own = () if flag is None or (of_prior and flag.code == "prior") else (flag,)
+    return row | {"flag": "; ".join((*own, *of_prior))} if own or of_prior else row
 
 
 def model_file(path: Path) -> Path:

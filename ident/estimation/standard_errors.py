@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation
-from seatrial.ident.model import Parameter
+from seatrial.ident.model import Flag, Parameter
 from seatrial.ident.numerics import Array, correlation_length, scaled_eigen, scaled_inverse
 
 # A combination of parameters is not identified if its eigenvalue of the information, scaled to unit diagonal, is below:
@@ -30,8 +30,8 @@ Z_95, DROP_95 = 1.959964, 1.9207294  # 97.5 % quantile of a normal, and half of 
 MAX_LOG_ERROR = 5.0  # a logarithm with a larger standard error (a factor 150) counts as unknown
 FLAGGED_INFLATION = 1.5  # a standard error gets a flag if a parameter at its bound makes it larger than by this factor
 MOSTLY_PRIOR = 0.9  # share of the prior in the information on a parameter, above which it is flagged
-FROM_PRIOR = "of its information comes from its prior"  # end of that flag
-AT_BOUND, VAGUE = "at its bound", "the data do not determine its order of magnitude"  # flags of a parameter
+AT_BOUND = Flag("at bound", "at its bound")
+VAGUE = Flag("not determined", "the data do not determine its order of magnitude")
 TRIED_STEPS = 10.0 ** np.arange(-2.0, 5.0)  # distances tried by `flat_coordinates`, in characteristic steps
 # `_reach_in_direction` ends at this share of the quadratic approximation's distance, and halves its bracket so often
 NEAREST_REACH, N_REACH_HALVINGS = 1e-4, 4
@@ -42,8 +42,8 @@ MAX_BLOCKS, MIN_BLOCKS = 40, 12  # numbers of blocks of rows, over all records t
 BLOCK_LENGTH = 9.0
 MOST_MISSED = 0.5  # largest share of the variance that this correction assumes to be missing
 COLOURED_P_VALUE = 0.001  # residuals are coloured below this p value of the information matrix test over all parameters
-AUTOCORRELATED_TOO_LONG = (
-    "the residuals are autocorrelated for too long to allow a robust standard error of it"  # flag of a parameter
+AUTOCORRELATED_TOO_LONG = Flag(
+    "no robust error", "the residuals are autocorrelated for too long to allow a robust standard error of it"
 )
 
 
@@ -65,8 +65,8 @@ class Uncertainty:
         Share of a parameter's information that comes from its prior, 0 to 1; 0 without a standard error.
     gradient_norm
         Length of the gradient in standard errors; zero at the optimum.
-    flags : tuple of (name, remark)
-        Remarks about single parameters, such as "at its bound".
+    flags : tuple of (name, Flag)
+        Flags of single parameters, such as "at its bound".
     P : Array (n, n)
         Covariance of the coordinates (inverse information), with those at a bound held there. NaN for coordinates
         without a standard error.
@@ -84,7 +84,7 @@ class Uncertainty:
     correlation: Array
     prior_weight: Array
     gradient_norm: float
-    flags: tuple[tuple[str, str], ...]
+    flags: tuple[tuple[str, Flag], ...]
     P: Array
     spread: Array
     limits: Array
@@ -163,7 +163,7 @@ def assess(
     norm = float(np.sqrt(max(at.gradient[known] @ P[np.ix_(known, known)] @ at.gradient[known], 0.0)))
     weight = np.where(known, prior * np.nan_to_num(np.diag(P)), 0.0)
     for i in np.flatnonzero(weight > MOSTLY_PRIOR).tolist():
-        flags.append((names[i], f"{100 * weight[i]:.0f} % {FROM_PRIOR}"))
+        flags.append((names[i], Flag("prior", f"{100 * weight[i]:.0f} % of its information comes from its prior")))
     correlation = (P + spread) / np.outer(root, root)
     return Uncertainty(
         np.abs(slopes) * root,
@@ -186,7 +186,7 @@ def _covariance_from_bounds(
     P: Array,
     names: Sequence[str],
     value: Callable[[Array], float] | None,
-) -> tuple[Array, Array, list[tuple[str, str]]]:
+) -> tuple[Array, Array, list[tuple[str, Flag]]]:
     """Return the covariance that parameters at their bounds add to the estimates of the other parameters.
 
     Parameters
@@ -210,7 +210,7 @@ def _covariance_from_bounds(
         Covariance to be added to ``P``.
     limits : Array (n,)
         For a coordinate at its bound, the far end of its 95 % interval, NaN without information; NaN for all others.
-    flags : list of (name, remark)
+    flags : list of (name, Flag)
         Parameters whose standard error becomes more than 1.5 times as large.
 
     Notes
@@ -236,7 +236,7 @@ def _covariance_from_bounds(
     n = z.size
     spread, limits = np.zeros((n, n)), np.full(n, np.nan)
     good = np.flatnonzero(np.isfinite(np.diag(P)))
-    flags: dict[str, str] = {}
+    flags: dict[str, Flag] = {}
     below, above = bounds.reached(z)
     for b in np.flatnonzero((below | above) & (np.diag(at.information) > 0)).tolist():
         inward, room = (1.0, bounds.high[b] - z[b]) if below[b] else (-1.0, z[b] - bounds.low[b])
@@ -254,7 +254,8 @@ def _covariance_from_bounds(
         spread[np.ix_(good, good)] += added
         wider = np.sqrt(1.0 + np.diag(added) / np.diag(P)[good])
         for k in np.flatnonzero(wider > FLAGGED_INFLATION).tolist():
-            flags[names[good[k]]] = f"its error is {wider[k]:.1f} times as large because {names[b]} may leave its bound"
+            text = f"its error is {wider[k]:.1f} times as large because {names[b]} may leave its bound"
+            flags[names[good[k]]] = Flag("larger error", text)
     return spread, limits, list(flags.items())
 
 
@@ -294,7 +295,7 @@ def _reach_in_direction(
 
 def _unidentified_parameters(
     information: Array, names: Sequence[str], labels: Sequence[str]
-) -> tuple[NDArray[np.bool_], list[tuple[str, str]]]:
+) -> tuple[NDArray[np.bool_], list[tuple[str, Flag]]]:
     """Find the parameters that take part in a combination of parameters that the data do not identify.
 
     Such a combination is an eigenvector of the information, scaled to unit diagonal, with an eigenvalue below 1e-10:
@@ -312,11 +313,12 @@ def _unidentified_parameters(
     unseen : Array (n,) of bool
         Whether the parameter takes part in such a combination (with an entry above 0.1 in the unit vector), or the data
         do not depend on it at all.
-    flags : list of (name, remark)
-        One remark or more for each of these parameters, with the combination.
+    flags : list of (name, Flag)
+        One flag or more for each of these parameters, with the combination.
     """
     unseen = np.diag(information) <= 0
-    flags = [(names[i], "the data do not depend on it") for i in np.flatnonzero(unseen).tolist()]
+    lost = Flag("not determined", "the data do not depend on it")
+    flags = [(names[i], lost) for i in np.flatnonzero(unseen).tolist()]
     informed: list[int] = np.flatnonzero(~unseen).tolist()
     if not informed:
         return unseen, flags
@@ -327,9 +329,8 @@ def _unidentified_parameters(
         members: list[int] = np.flatnonzero(np.abs(direction) > MEMBER_WEIGHT).tolist()
         unseen[[informed[m] for m in members]] = True
         terms = " ".join(f"{part[m]:+.2g} {labels[informed[m]]}" for m in members)
-        flags += [
-            (names[informed[m]], f"not identified: the data do not depend on the joint change {terms}") for m in members
-        ]
+        joint = Flag("not determined", f"not identified: the data do not depend on the joint change {terms}")
+        flags += [(names[informed[m]], joint) for m in members]
     return unseen, flags
 
 
@@ -508,11 +509,12 @@ class LikelihoodInterval:
     high: float
 
     @property
-    def remark(self) -> str:
-        """Sentence for reports: the parameter's standard error comes from this interval."""
-        return (
+    def flag(self) -> Flag:
+        """Flag of the parameter: its standard error comes from this interval."""
+        return Flag(
+            "flat",
             f"the likelihood is flat here and falls at {self.low:.4g} and at {self.high:.4g}: the standard error is "
-            "from this interval, all other parameters held"
+            "from this interval, all other parameters held",
         )
 
     @property

@@ -574,7 +574,9 @@ class LinearModel:
         """Return the standard error of a number of this model, given that number of each of the models `moved`."""
         return float(self.error_of(np.array(value), [np.array(v) for v in moved]))
 
-    def lqr(self, Q: Mapping[str, float], R: Mapping[str, float] | None = None, limit: float = 1.0) -> StateFeedback:
+    def lqr(
+        self, Q: Mapping[str, float], R: Mapping[str, float] | None = None, limit: float | None = None
+    ) -> StateFeedback:
         """Return the linear quadratic regulator (LQR) of the model, with the weights of its states by name.
 
         The feedback minimises the integral of ``sum of Q e^2 + sum of R (u - u0)^2`` over time, with the errors ``e``
@@ -590,8 +592,10 @@ class LinearModel:
         R : dict of str to float, optional
             Weights of the inputs by name, above 0. An input without a weight has 1.
         limit : float, optional
-            Largest shaft speed or command that the feedback returns, above 0 and at most 1. A `SeatrialWarning` is
-            issued if an input of the operating point is above 0.9 of it. It does not act on inputs that are forces.
+            Largest shaft speed or command that the feedback returns, above 0 and at most 1. None: each input stays in
+            its range in the fitted data (`ranges`), with zero; without a range the limit is full speed. A
+            `SeatrialWarning` is issued if a limit leaves this range, where the thrust is extrapolated, and if an input
+            of the operating point is above 0.9 of its limit. No limit acts on inputs that are forces.
 
         Raises
         ------

@@ -23,6 +23,7 @@ from seatrial.ident.numerics import Array
 LEAST_GROWTH = 0.05  # 1/s: poles below it grow by a factor of e in more than 20 s, which any feedback holds
 TURN = 2.0 * np.pi  # rad
 MOST_TURNS = 5.0  # of a heading that counts them; more are degrees
+BEYOND = 1.05  # share of the end of the data from which a limit of the user is beyond them
 ROOM = 0.9  # share of the limit above which a steady input leaves too little for the control
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
 
@@ -67,8 +68,8 @@ class StateFeedback:
         Poles of the linear model with the feedback [1/s], without the dead time of the inputs.
     units : dict of str to str
         Unit of each state and input; empty for a number without a unit.
-    limit : float
-        Largest shaft speed or command, as a share of full.
+    u_min, u_max : Array (m,)
+        Limits of the inputs: shaft speeds and commands as shares of full, infinite for a thrust.
     """
 
     states: tuple[str, ...]
@@ -78,12 +79,13 @@ class StateFeedback:
     u0: Array
     poles: NDArray[np.complex128]
     units: Mapping[str, str]
-    limit: float = 1.0
+    u_min: Array
+    u_max: Array
 
     def __call__(self, x: Mapping[str, float], **wanted: float) -> Array:
         """Return the inputs (m,) at the states ``x``, in the order of `inputs`.
 
-        Shaft speeds and commands are limited to -`limit` to `limit`.
+        Shaft speeds and commands are limited to `u_min` to `u_max`.
 
         Parameters
         ----------
@@ -125,14 +127,8 @@ class StateFeedback:
             _warn_of_degrees(float(x[HEADING]), float(goal[HEADING]))
         error[turn] = np.remainder(error[turn] + np.pi, 2.0 * np.pi) - np.pi
         u = self.u0 - self.gain @ error
-        found: Array = np.clip(u, *self._limits)
+        found: Array = np.clip(u, self.u_min, self.u_max)
         return found
-
-    @property
-    def _limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits (m,) of the inputs; infinite for a thrust."""
-        high: Array = np.where([_is_share_of_full(n) for n in self.inputs], self.limit, np.inf)
-        return -high, high
 
     def to_mat(self, path: str | os.PathLike[str], force: bool = False) -> Path:
         """Write the feedback to a MATLAB file, and return its path. Its law is ``u = u0 - K*(x - x0)``.
@@ -197,13 +193,12 @@ class StateFeedback:
 
     def _variables(self) -> dict[str, Any]:
         """Return the variables of the files by name: arrays, and lists of texts."""
-        low, high = self._limits
         return {
             "K": self.gain,
             "x0": self.x0,
             "u0": self.u0,
-            "u_min": low,
-            "u_max": high,
+            "u_min": self.u_min,
+            "u_max": self.u_max,
             "poles": self.poles,
             "states": list(self.states),
             "inputs": list(self.inputs),
@@ -212,14 +207,17 @@ class StateFeedback:
         }
 
     def __repr__(self) -> str:
-        """Return the gain as a table with a line for each input, and the poles."""
+        """Return the gain as a table with a line for each input, the poles, and the limits of the inputs."""
         size = max(map(len, self.inputs), default=0)
         rows = [" " * size + "".join(f"{n:>12}" for n in self.states)]
         rows += [
             f"{n:<{size}}" + "".join(f"{v:12.4g}" for v in row) for n, row in zip(self.inputs, self.gain, strict=True)
         ]
         poles = ", ".join(f"{p.real:.3g}" + (f" {p.imag:+.3g}j" if p.imag else "") for p in self.poles)
-        return "\n".join([f"<StateFeedback: gain of {len(self.inputs)} inputs>", *rows, f"poles {poles} 1/s"])
+        ends = zip(self.inputs, self.u_min, self.u_max, strict=True)
+        limits = ", ".join(f"{n} {low:.3g} to {high:.3g}" for n, low, high in ends if np.isfinite(high))
+        lines = [f"<StateFeedback: gain of {len(self.inputs)} inputs>", *rows, f"poles {poles} 1/s"]
+        return "\n".join([*lines, *([f"limits {limits}"] if limits else [])])
 
 
 class LinearSystem(Protocol):
@@ -258,6 +256,10 @@ class LinearSystem(Protocol):
         """Names of the conditions whose value is a default."""
 
     @property
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        """Smallest and largest value of the states and inputs in the fitted data by name; empty if unknown."""
+
+    @property
     def x0(self) -> Array:
         """States (n,) of the operating point."""
 
@@ -271,19 +273,18 @@ class LinearSystem(Protocol):
 
 
 def lqr(
-    linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | None = None, limit: float = 1.0
+    linear: LinearSystem, Q: Mapping[str, float], R: Mapping[str, float] | None = None, limit: float | None = None
 ) -> StateFeedback:
     """Return the linear quadratic regulator of a linear system, with weights of states and inputs by name.
 
     A `SeatrialWarning` is issued if the heading is controlled, and the rates depend on it, and nobody chose its value.
-    Another one is issued if an input of the operating point is near the limit. Weights that are missing, the heading
-    and the errors are those of `seatrial.ident.export.linearisation.LinearModel.lqr`.
+    Another one is issued if an input of the operating point is near the limit, and one if a limit that was given
+    leaves the data of the fit. The limit, weights that are missing, the heading and the errors are those of
+    `seatrial.ident.export.linearisation.LinearModel.lqr`.
     """
     from scipy.linalg import solve_continuous_are  # imported here, as it takes 0.3 s
 
-    _check_numbers({"limit": limit})
-    if not 0.0 < limit <= 1.0:
-        raise SeatrialError(f"limit {limit:g}: give the largest shaft speed or command, above 0 and at most 1")
+    low, high = _limits(linear, limit)
     R = {} if R is None else R
     for what, given in (("Q", Q), ("R", R)):
         if not isinstance(given, Mapping):
@@ -323,7 +324,7 @@ def lqr(
             "model, and let the wanted speed rise from that of the boat: control(x, psi=..., u=min(speed, 0.05 * t)). "
             "This can fail if the damping of sway is negative, or if the operating point is outside the fitted data"
         )
-    _warn_of_limit(linear, limit)
+    _warn_of_limit(linear, low, high, limit)
     weights, costs = np.diag([Q.get(s, 0.0) for s in states]), np.diag([R.get(i, 1.0) for i in linear.inputs])
     failure = "no feedback with these weights makes the motion stable: give weights to u, r and psi"
     try:
@@ -336,7 +337,7 @@ def lqr(
     poles = poles[np.argsort(np.abs(poles.real), kind="stable")]
     x0 = np.append(linear.x0, np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
     units = {**linear.units, **({HEADING: "rad"} if steered else {})}
-    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles, units, limit)
+    return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles, units, low, high)
 
 
 def _is_share_of_full(name: str) -> bool:
@@ -344,16 +345,66 @@ def _is_share_of_full(name: str) -> bool:
     return is_of_thruster(name, COMMAND, SHAFT_SPEED)
 
 
-def _warn_of_limit(linear: LinearSystem, limit: float) -> None:
-    """Warn of the largest input of the operating point if it is near the limit of shaft speeds and commands."""
-    steady = {n: float(u) for n, u in zip(linear.inputs, linear.u0, strict=True) if _is_share_of_full(n)}
-    name = max(steady, key=lambda n: abs(steady[n]), default=None)
-    if name is not None and abs(steady[name]) > ROOM * limit:
-        larger = ", or give a larger limit" if limit < 1.0 else ""
+def _limits(linear: LinearSystem, limit: float | None) -> tuple[Array, Array]:
+    """Return the lower and upper limits (m,) of the inputs; infinite for a thrust.
+
+    For None they are the ends of the range of the fitted data, and full speed without a range. Zero is always allowed,
+    so that the feedback can stop the boat.
+
+    Parameters
+    ----------
+    linear : LinearSystem
+        The linear system, with the ranges of the fitted data.
+    limit : float or None
+        Largest shaft speed or command of the user.
+
+    Raises
+    ------
+    SeatrialError
+        If the limit is no number above 0 and at most 1.
+
+    Warns
+    -----
+    SeatrialWarning
+        If the limit of the user leaves the range of an input in the data: the thrust there is extrapolated.
+    """
+    shares = [_is_share_of_full(n) for n in linear.inputs]
+    if limit is None:
+        ends = [linear.ranges.get(n, (-1.0, 1.0)) for n in linear.inputs]
+        low = np.where(shares, np.clip([end[0] for end in ends], -1.0, 0.0), -np.inf)
+        high = np.where(shares, np.clip([end[1] for end in ends], 0.0, 1.0), np.inf)
+        return low, high
+    _check_numbers({"limit": limit})
+    if not 0.0 < limit <= 1.0:
+        raise SeatrialError(f"limit {limit:g}: give the largest shaft speed or command, above 0 and at most 1")
+    known = {n: linear.ranges[n] for n in linear.inputs if _is_share_of_full(n) and n in linear.ranges}
+    if beyond := [f"{n} {a:.3g} to {b:.3g}" for n, (a, b) in known.items() if limit > BEYOND * min(-a, b)]:
         warn(
-            f"the operating point needs {name} = {steady[name]:.3g}, more than {ROOM:g} of the limit {limit:g}: the "
-            f"feedback has too little room to steer; linearise at a lower speed{larger}"
+            f"limit {limit:g}: the data of the fit end before it ({', '.join(beyond)}): the thrust beyond them is "
+            "extrapolated; without `limit` the feedback stays in the data"
         )
+    high = np.where(shares, limit, np.inf)
+    return -high, high
+
+
+def _warn_of_limit(linear: LinearSystem, low: Array, high: Array, limit: float | None) -> None:
+    """Warn of the input of the operating point that uses most of its limits, if this is near one of them.
+
+    ``low`` and ``high`` (m,) are the limits of the inputs, and ``limit`` is that of the user.
+    """
+    # Share of the room from zero to the limit on the side of each input; without room on this side it is infinite.
+    ends = np.where(linear.u0 < 0.0, low, high)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        used = np.where(linear.u0 == 0.0, 0.0, linear.u0 / ends)
+    k = int(np.argmax(used)) if used.size else 0
+    if not used.size or used[k] <= ROOM:
+        return
+    data = " (the end of the fitted data)" if limit is None and linear.inputs[k] in linear.ranges else ""
+    larger = ", or give a larger limit" if abs(ends[k]) < 1.0 else ""
+    warn(
+        f"the operating point needs {linear.inputs[k]} = {linear.u0[k]:.3g}, more than {ROOM:g} of the limit "
+        f"{ends[k]:.3g}{data}: the feedback has too little room to steer; linearise at a lower speed{larger}"
+    )
 
 
 def _warn_of_degrees(psi: float, wanted: float) -> None:

@@ -3,6 +3,8 @@ from .delayed_inputs import HISTORY_STEP as HISTORY_STEP
 from .delayed_inputs import delay_weights as delay_weights
 from .delayed_inputs import tap_name as tap_name
 from .delayed_inputs import weighted_sum as weighted_sum
+from .flag import Flag as Flag
+from .flag import FlagCode as FlagCode
 from .outlier_density import LIKELY as LIKELY
 from .outlier_density import outlier_notes as outlier_notes
 from .outlier_density import robust_sensors as robust_sensors

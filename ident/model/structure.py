@@ -423,6 +423,9 @@ class Effect:
     in_words : Callable or None
         Function that returns a clause for reports, given (estimate, standard error) by parameter of the model. None:
         the parameters need no explanation.
+    in_words_of_data : Callable or None
+        Function that returns a clause in place of ``in_words`` where the data are known. It has a second argument: the
+        last value of each input in each estimation record, by input of the model. None: ``in_words`` needs no data.
     thrust_difference : str
         Name of the parameter that is half the relative difference of the thrust of both sides, left minus right. The
         data determine the difference, but not which side differs from its given curve. Empty: the effect has no such
@@ -459,6 +462,7 @@ class Effect:
     nonparametric_of: ForceCurve | None = None
     fixed_point: bool = False
     in_words: Callable[[Mapping[str, tuple[float, float]]], str] | None = None
+    in_words_of_data: Callable[[Mapping[str, tuple[float, float]], Mapping[str, Sequence[float]]], str] | None = None
     thrust_difference: str = ""
     refuted_by: Callable[[Sequence[Mapping[str, Any]]], str] | None = None
     takes_over: tuple[str, ...] = ()

@@ -13,7 +13,10 @@ from typing import Any
 
 import numpy as np
 
-TURNS_INSIDE = "no dead zone of the thruster: the shaft turns at commands inside it"  # flag of a fitted dead zone
+from seatrial.ident.model import Flag
+
+# Flag of a fitted dead zone
+TURNS_INSIDE = Flag("contradicted", "no dead zone of the thruster: the shaft turns at commands inside it")
 MIN_WIDTH = 1e-9  # lower limit of the width of a transition, against division by zero
 
 

@@ -23,7 +23,7 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Facts, Grid, Key, Prose, Section, Verdict, Verdicts, tabbed
 from seatrial.ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, line_trace, single, stacked
-from seatrial.ident.report.page import compose
+from seatrial.ident.report.page import Answer, compose
 
 LEVELS = {"fault": "faults", "warning": "warnings", "ok": "ok"}
 MAX_NAMED = 4  # findings named in the answer; of more findings, the first three are named
@@ -64,7 +64,7 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
     body.append(Section("made", "How it was made", [Facts([("command", command)], "made")] if command else []))
     page = compose(
         "Preflight" if report.rig is not None else "Check of a log",
-        check_answer(report),
+        Answer(check_answer(report)),
         opening,
         [section for section in body if section.blocks],
         canvas.figures,

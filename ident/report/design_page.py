@@ -13,7 +13,7 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.report import formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Prose, Section, Table
 from seatrial.ident.report.drawing import AMBER, FAINT, GREEN, MODEL, Budget, Panel, Trace, line_trace, single, stacked
-from seatrial.ident.report.page import compose
+from seatrial.ident.report.page import Answer, compose
 from seatrial.ident.results import DesignResult, DesignTrack
 
 COLORS = {"design": MODEL, "PRBS": AMBER, "RGS": GREEN}
@@ -49,7 +49,7 @@ def write_design_page(result: DesignResult, path: Path) -> None:
     ]
     page = compose(
         "Mission design",
-        result.answer,
+        Answer(result.answer),
         opening,
         [s for s in body if s.blocks],
         canvas.figures,

@@ -127,11 +127,11 @@ def moment(created: str) -> str:
 
 
 def tied(words: str) -> str:
-    """Return a text with no-break spaces between numbers and their unit (such as m, s, N, deg) or percent sign.
+    """Return a text with no-break spaces between numbers and their unit (such as m, s, N, deg), percent sign or ±.
 
     A browser then does not break the line there.
     """
-    return re.sub(r"(?<=\d) (?=(%|ms?|s|N|kg|deg|Hz|V)\b|%)", "\u00a0", words)
+    return re.sub(r"(?<=\d) (?=(%|ms?|s|N|kg|deg|Hz|V)\b|[%±])|(?<=±) (?=\d)", "\u00a0", words)
 
 
 def count(value: float | None) -> str:

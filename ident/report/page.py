@@ -10,16 +10,17 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from seatrial.daq.files import write_output
 from seatrial.ident.report import formatting, sections
-from seatrial.ident.report.blocks import Canvas, Grid, Section
+from seatrial.ident.report.blocks import Canvas, EffectCard, Grid, Prose, Section
 from seatrial.ident.report.drawing import DARK, TEMPLATE, Budget, Figure, compact
-from seatrial.ident.results import ComparisonResult, Result
+from seatrial.ident.results import ComparisonResult, DiagnosisResult, Result, standard_error_sentence
 
 PLOTLY = "plotly-cartesian.min.js"  # the bundle with lines, heat maps and bars (docs/decisions/0036-vendored-plotly.md)
 LONG_HEADLINE = 110  # characters, above which a headline has smaller letters
@@ -36,6 +37,32 @@ KINDS = {
     "campaigns": "Changes between campaigns",
     "comparison": "Comparison of models",
 }
+
+
+class Answer(NamedTuple):
+    """Answer of a result, as the headline of its page.
+
+    Attributes
+    ----------
+    text
+        The answer. Text between backquotes is shown as code.
+    sizes
+        Size of each effect in words by its title. Sizes that stand in brackets after the title in a long headline are
+        shown as a list below it.
+    """
+
+    text: str
+    sizes: Mapping[str, str] = MappingProxyType({})
+
+    def parts(self) -> tuple[str, str, list[tuple[str, str]]]:
+        """Return the headline, the sentences that follow it, and the list of titles and sizes, which may be empty."""
+        headline, more = _first_sentence(self.text)
+        found = []
+        for title, size in self.sizes.items() if len(headline) > LONG_HEADLINE else ():
+            if f"{title} ({size})" in headline:
+                headline = headline.replace(f"{title} ({size})", title)
+                found.append((title[:1].upper() + title[1:], size))
+        return headline, more, found
 
 
 def write_report(result: Result, path: Path) -> None:
@@ -86,9 +113,10 @@ def _page(result: Result, budget: Budget) -> str:
     canvas = Canvas(budget)
     opening, body = sections.opening(result), sections.body(canvas, result)
     evaluation = isinstance(result, ComparisonResult) and result.is_evaluation
+    effects = result.effects if isinstance(result, DiagnosisResult) else ()
     return compose(
         "Evaluation of a model" if evaluation else KINDS[str(type(result).__struct_config__.tag)],
-        result.answer,
+        Answer(result.answer, {e.title: e.in_words for e in effects if e.in_words}),
         opening,
         body,
         canvas.figures,
@@ -112,12 +140,13 @@ def figure_page(title: str, figure: Figure) -> str:
     canvas = Canvas(Budget())
     plot = canvas.plot(figure, int(figure["layout"].get("height", 500)), title)
     body = [Section("figure", "", [Grid([plot])])]
-    return compose("Figure", title, Section("answer", "", []), body, canvas.figures, version=version("seatrial"))
+    opening = Section("answer", "", [])
+    return compose("Figure", Answer(title), opening, body, canvas.figures, version=version("seatrial"))
 
 
 def compose(
     kind: str,
-    answer: str,
+    answer: Answer,
     opening: Section,
     body: Sequence[Section],
     figures: Mapping[str, Figure],
@@ -132,8 +161,8 @@ def compose(
     ----------
     kind : str
         Kind of the result in words, shown above the headline and in the title.
-    answer : str
-        Headline of the page: the answer of the result. Text between backquotes is shown as code.
+    answer : Answer
+        Answer of the result, whose first sentence is the headline of the page.
     opening : Section
         Section whose blocks follow the headline. Its title and lead are not shown, and it is not in the contents.
     body : sequence of Section
@@ -145,17 +174,20 @@ def compose(
     warnings : sequence of str
         Sentences shown above the headline.
     """
-    headline, more = _first_sentence(formatting.tied(answer))
+    headline, more, sizes = answer.parts()
+    headline = formatting.tied(headline)
     scripts = [_template_file(PLOTLY), _template_file("report.js")] if figures else [_template_file("report.js")]
     return (
         _environment()
         .get_template("report.html.j2")
         .render(
             kind=kind,
-            answer=formatting.tied(answer),
+            answer=formatting.tied(answer.text),
             parts=_details(headline or "This result has no answer."),
             is_long=len(headline) > LONG_HEADLINE,
-            more=more,
+            more=formatting.tied(more),
+            sizes=[(formatting.tied(title), formatting.tied(size)) for title, size in sizes],
+            errors=standard_error_sentence(answer.text, *_texts(opening)),
             warnings=warnings,
             created=formatting.moment(created),
             version=version,
@@ -205,6 +237,13 @@ def _first_sentence(text: str) -> tuple[str, str]:
     """Return the first sentence of a text, and the rest; the rest is empty if there is one sentence only."""
     first, *rest = re.split(r"(?<=[.!?]) (?=[A-Z`])", text, maxsplit=1)
     return first, "".join(rest)
+
+
+def _texts(opening: Section) -> list[str]:
+    """Return the caveat of a diagnosis and the estimates of its effects, from the opening of a page."""
+    cards = [block for block in opening.blocks if isinstance(block, EffectCard)]
+    caveats = [block.words for block in opening.blocks if isinstance(block, Prose) and block.style == "callout"]
+    return [*caveats, *(text for card in cards for _, text, _ in card.parameters)]
 
 
 def _details(headline: str) -> list[tuple[str, bool]]:

@@ -17,7 +17,7 @@ from seatrial.daq.files import write_output
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table
 from seatrial.ident.report.drawing import BEFORE, MODEL, Budget, single
-from seatrial.ident.report.page import compose
+from seatrial.ident.report.page import Answer, compose
 from seatrial.ident.results import AIMS, APART, BIAS, COVERAGE, VARIANCE, ModelStudy, ParameterStudy, StudyResult
 
 Aims = Mapping[str, tuple[float, float]]
@@ -76,7 +76,7 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
     )
     page = compose(
         "Study of an estimator",
-        result.answer,
+        Answer(result.answer),
         opening,
         [*(s for s in body if s.blocks), made],
         canvas.figures,

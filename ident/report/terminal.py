@@ -67,6 +67,7 @@ from seatrial.ident.results import (
     causes_sentence,
     curve_words,
     name_probabilities,
+    standard_error_sentence,
 )
 
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
@@ -556,7 +557,9 @@ def print_result(result: Result, console: Console) -> None:
     console.print()
     failed = isinstance(result, FitResult) and not result.converged
     opening = [Text(f"⚠ {warning.text}", style="yellow") for warning in result.warnings]
-    answer = Text(f"⚠ {result.answer}", "bold yellow") if failed else Text(result.answer, "bold")
+    errors = standard_error_sentence(result.answer, getattr(result, "caveat", None))
+    text = " ".join(filter(None, (result.answer, errors)))
+    answer = Text(f"⚠ {text}", "bold yellow") if failed else Text(text, "bold")
     opening.insert(0 if isinstance(result, ComparisonResult) else len(opening), answer)
     for paragraph in opening:
         print_prose(console, paragraph)

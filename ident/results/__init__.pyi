@@ -1,4 +1,6 @@
 from .answers import MOST_OF_ERROR as MOST_OF_ERROR
+from .answers import NOMOTO as NOMOTO
+from .answers import NOMOTO_LAG as NOMOTO_LAG
 from .answers import NOT_WEIGHED as NOT_WEIGHED
 from .answers import RUNS_AWAY as RUNS_AWAY
 from .answers import SIMULATION_COVERS as SIMULATION_COVERS
@@ -16,6 +18,7 @@ from .answers import implausible_mass as implausible_mass
 from .answers import moving_boat_warnings as moving_boat_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings
+from .answers import standard_error_sentence as standard_error_sentence
 from .answers import structure_warnings as structure_warnings
 from .answers import warm_up_notes as warm_up_notes
 from .campaigns import Campaign as Campaign
@@ -146,7 +149,6 @@ from .parts import VehicleResult as VehicleResult
 from .parts import Verdict as Verdict
 from .parts import WarningCode as WarningCode
 from .parts import WhitenessTests as WhitenessTests
-from .parts import flag_codes as flag_codes
 from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result
 from .result_file import to_json as to_json

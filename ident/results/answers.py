@@ -86,6 +86,11 @@ FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less do
 # Error of a given antenna position that is reported: m, and standard errors. A tape measure errs by less.
 LARGEST_AWAY, FAR_AWAY = 0.25, 4.0
 ALIKE = 0.9  # size of the correlation of two estimates, above which the data hardly tell one from the other
+SURE_POLE = 4.0  # standard errors above zero, below which an unstable pole is not sure
+Z95 = 1.959964  # half the width of a 95 % interval, in standard errors
+TURNS_FOR_STABILITY = (
+    "short turns to both sides at this speed, and equal inputs of both sides for some seconds after each"
+)
 UNUSUAL = 3.0  # standard deviations of its prior, from which an estimate is far from its usual size
 LARGEST_ASYMMETRY = 0.5  # of c2 over c1: one direction then has a third of the other's thrust
 UNEQUAL_THRUST = 0.05  # difference of the thrust ahead from the given mean, relative to it, from which it is reported
@@ -116,6 +121,11 @@ SAME_WEATHER = timedelta(hours=3)  # between the starts of logs, up to which one
 NO_DATE = 1970  # year of the times of a log that has no date
 SHORT_DATA_S = 60.0  # of all estimation data; shorter data hardly contain a turn and a stop
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
+
+
+def standard_error_sentence(*texts: str | None) -> str:
+    """Return the sentence that explains ± as one standard error, if one of the texts has it; otherwise it is empty."""
+    return "± is one standard error." if any(text and "±" in text for text in texts) else ""
 
 
 def change_sentence(change: PredictionChangeRow, horizon: float, cross_validated: bool = False) -> str:
@@ -869,6 +879,11 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
     ]
 
 
+def estimation_logs(made: Provenance) -> int:
+    """Return the number of different estimation logs of a result."""
+    return len({log.name for log in made.logs if log.role == "estimation"})
+
+
 def faults_first(made: Provenance) -> str:
     """Return the beginning of the answer of a fit to logs with faults (`--despite-faults`), which lists the faults.
 
@@ -1531,8 +1546,11 @@ def wind_sentence(made: Provenance, model: Model) -> str:
     )
 
 
-def course_sentence(course: CourseStability | None, model: Model | None = None) -> str:
-    """Return the sentence on a boat that is directionally unstable, with the time constant and its 95 % interval.
+def course_sentence(course: CourseStability | None, model: Model | None = None, logs: int = 0) -> str:
+    """Return the sentences on a boat that is directionally unstable, with the time constant and its 95 % interval.
+
+    If there is one estimation log (``logs``; 0: unknown), or if the pole is less than four standard errors from zero, a
+    further sentence says so, and what to record.
 
     If the interval of the pole contains zero, the sentence says that the data do not show the stability, in the words
     of `seatrial.ident.numerics.stability_of`. If the estimated damping of sway is negative, there is no statement on
@@ -1566,15 +1584,30 @@ def course_sentence(course: CourseStability | None, model: Model | None = None) 
     begin = f"At {course.speed:.3g} m/s{heading} the boat is directionally unstable"
     grows = f"without a controller a small yaw rate grows by a factor of e in {1.0 / course.pole:.3g} s"
     if course.low is None or course.high is None:
-        return f"{begin}: {grows} (the 95 % interval is unknown)."
+        return f"{begin}: {grows} (the 95 % interval is unknown).{_course_doubt(math.nan, logs)}"
     fastest = f"{1.0 / course.high:.3g}"
     if course.stability == UNSTABLE:
-        return f"{begin}: {grows} (95 % interval: {fastest} to {1.0 / course.low:.3g} s)."
+        t = Z95 * course.pole / (course.pole - course.low) if course.pole > course.low else math.inf
+        return f"{begin}: {grows} (95 % interval: {fastest} to {1.0 / course.low:.3g} s).{_course_doubt(t, logs)}"
     return (
         f"At {course.speed:.3g} m/s{heading} the directional stability is {NOT_SHOWN}: without a "
         f"controller a small yaw rate may grow by a factor of e in {fastest} s or decay in "
-        f"{-1.0 / min(course.low, -1e-9):.3g} s (95 % interval)."
+        f"{-1.0 / min(course.low, -1e-9):.3g} s (95 % interval). To find out, record {TURNS_FOR_STABILITY}."
     )
+
+
+def _course_doubt(t: float, logs: int) -> str:
+    """Return a sentence on how sure an unstable pole is, and what to record; empty for several logs and a sure pole.
+
+    ``t`` is the pole divided by its standard error; NaN if it is unknown. ``logs`` is the number of estimation logs; 0:
+    unknown. The text begins with a space.
+    """
+    reasons = [f"the pole is only {t:.1f} standard errors above zero"] if t < SURE_POLE else []
+    reasons += ["it rests on one log, which does not show how much other runs differ"] if logs == 1 else []
+    if not reasons:
+        return ""
+    doubt = ", and ".join(reasons)
+    return f" This is not sure: {doubt}. To confirm it, fit a further log too, with {TURNS_FOR_STABILITY}."
 
 
 def homogeneity_sentence(a: HomogeneityTest) -> str:

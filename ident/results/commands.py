@@ -25,6 +25,7 @@ from seatrial.ident.results.answers import (
     check_warnings,
     course_sentence,
     dead_zone_warnings,
+    estimation_logs,
     estimation_warnings,
     failed_run_warnings,
     faults_first,
@@ -197,11 +198,12 @@ def vehicle_result(
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
     fit_answer = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    course = course_sentence(posed.dynamics.course if posed.dynamics else None, fitted.fit.model)
+    dynamics = posed.dynamics
+    course = course_sentence(dynamics.course if dynamics else None, fitted.fit.model, estimation_logs(made))
     tested = any(a.name.startswith("F_w") for a in homogeneity)  # the wind force: its sentence follows
     wind = "" if tested else wind_sentence(made, fitted.fit.model)
     candidate = candidate_sentence(posed.uncertainty) if searchable else ""
-    sentences = [fit_answer, candidate, straight_sentence(posed.dynamics), course, wind]
+    sentences = [fit_answer, candidate, straight_sentence(dynamics), course, wind]
     sentences += [homogeneity_sentence(a) for a in homogeneity]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty, untested = posed.uncertainty, posed.assessment is None

@@ -16,10 +16,12 @@ from seatrial.ident.diagnosis import (
     NAME_RECORDS,
     Diagnosis,
     DiagnosisEvaluation,
+    EffectAttribution,
     Outcome,
     Refit,
     Round,
     ValidationMismatch,
+    competitor_of,
     detectable_sizes,
     is_immaterial,
     reason_without_experiment,
@@ -38,6 +40,7 @@ from seatrial.ident.results.answers import (
     change_sentence,
     check_warnings,
     course_sentence,
+    estimation_logs,
     failed_run_warnings,
     faults_first,
     frames_assumed,
@@ -152,7 +155,8 @@ def diagnosis_result(
     recommended = recommended_experiment(diagnosis)
     rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
     answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
-    course = course_sentence(dynamics.course if dynamics else None, diagnosis.after.fit.model)
+    stability = dynamics.course if dynamics else None
+    course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
     return DiagnosisResult(
@@ -581,8 +585,9 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
     """Return the estimates of an effect as a clause for reports, by the effect's own function ``Effect.in_words``.
 
     The function gets the estimates of all parameters of the model, in their units. Of a per-record parameter, the
-    estimate of the first record is used. Parameters of the effect at their bounds are named, because their values are
-    no estimates. The text is empty if the effect has no such function and no parameter at its bound.
+    estimate of the first record is used. ``Effect.in_words_of_data`` takes its place if the effect has one: it also
+    gets the last inputs of the estimation records. Parameters of the effect at their bounds are named, because their
+    values are no estimates. The text is empty if the effect has no such function and no parameter at its bound.
 
     Parameters
     ----------
@@ -592,8 +597,10 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         Fitted model, whose estimates are used.
     """
     words = ""
-    if effect.in_words is not None:
-        words = effect.in_words({p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters})
+    if effect.in_words_of_data is not None:
+        words = effect.in_words_of_data(_estimates(fitted), _last_inputs(fitted))
+    elif effect.in_words is not None:
+        words = effect.in_words(_estimates(fitted))
     if not (effect.parameters and fitted.fit.flags):
         return words
     stuck = [_named_value(p) for p in effect_parameter_rows(effect, fitted) if p.at_bound]
@@ -601,6 +608,21 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         return words
     limit = "is at the limit of this parameter" if len(stuck) == 1 else "are at the limits of these parameters"
     return "; ".join(filter(None, [words, f"{' and '.join(stuck)} {limit}, and so no estimate"]))
+
+
+def _estimates(fitted: FittedModel) -> dict[str, tuple[float, float]]:
+    """Return estimate and standard error of all parameters of a fitted model by name."""
+    return {p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters}
+
+
+def _last_inputs(fitted: FittedModel) -> dict[str, list[float]]:
+    """Return the last value of each input in each estimation record, by name of the input."""
+    last: dict[str, list[float]] = {}
+    for evaluated in fitted.estimation:
+        record = evaluated.record
+        for name, value in zip(record.inputs, record.u[-1], strict=True):
+            last.setdefault(name, []).append(float(value))
+    return last
 
 
 def _named_value(p: parts.EffectParameter) -> str:
@@ -638,7 +660,7 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
         f"It is not certain that {which} is {titles.get(j.effect, j.effect)}: {j.reasons[0]}." for j in doubted
     ]
     if doubted and recommended_experiment(diagnosis):
-        sentences.append("The recommended experiment (Next experiment, in the report) may decide this.")
+        sentences.append(_experiment_sentence(diagnosis, doubted[0]))
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
         gone = f", and removed {len(diagnosis.removed)} of them again" if diagnosis.removed else ""
@@ -650,6 +672,21 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     elif diagnosis.effects and diagnosis.remaining and not doubted:
         sentences += _remaining_sentences(diagnosis)
     return " ".join(sentences) or None
+
+
+def _experiment_sentence(diagnosis: Diagnosis, doubted: EffectAttribution) -> str:
+    """Return the sentence on the recommended experiment for the first effect of uncertain name.
+
+    The experiment may decide which effect it is, unless the first reason against the name is a curve, from which no
+    experiment distinguishes the effect. The sentence then names the effect from which the experiment distinguishes it.
+    """
+    experiment = "The recommended experiment (Next experiment, in the report)"
+    competitor = competitor_of(diagnosis, doubted)
+    if competitor is None or doubted.competitor in ("", competitor):
+        return f"{experiment} may decide this."
+    titles = {q.effect.name: q.effect.title for r in diagnosis.rounds for q in r.refits}
+    title = titles.get(competitor) or candidate_title(competitor)
+    return f"{experiment} distinguishes it from {title}, which the data do not exclude either."
 
 
 def _physical_parameters(model: Model) -> list[str]:

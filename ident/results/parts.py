@@ -13,29 +13,11 @@ import msgspec
 from msgspec import Meta
 
 from seatrial.ident.data import FrameOrigin
-from seatrial.ident.estimation import AT_BOUND, AUTOCORRELATED_TOO_LONG, FROM_PRIOR, VAGUE, FailedRun, Role
-from seatrial.ident.models import TURNS_INSIDE
+from seatrial.ident.estimation import FailedRun, Role
+from seatrial.ident.model import FlagCode
 from seatrial.ident.numerics import Array, stability_of
 
 FORMAT = "seatrial-result 3"
-NAME_DECIDES = "depends on which of the similar effects is in the model"  # begin of a flag
-NO_MASS = "this is no physical mass"  # end of a flag
-# Short code of each flag of an estimate, and words of its text
-FLAG_CODES = (
-    ("at bound", AT_BOUND),
-    ("not determined", VAGUE),
-    ("not determined", "the data do not depend on"),
-    ("prior", FROM_PRIOR),
-    ("prior", "the data alone say about"),
-    ("prior", "too little for a value of their own"),
-    ("larger error", "its standard error is larger than the given one"),
-    ("larger error", "may leave its bound"),
-    ("flat", "the likelihood is flat here"),
-    ("no robust error", AUTOCORRELATED_TOO_LONG),
-    ("contradicted", TURNS_INSIDE),
-    ("no mass", NO_MASS),
-    ("ambiguous", NAME_DECIDES),
-)
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
 
@@ -309,6 +291,12 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     ] = None
     start: Annotated[float | None, Meta(description="initial value of the search")] = None
     flag: Annotated[str | None, Meta(description="what is wrong with the estimate")] = None
+    flag_codes: Annotated[
+        tuple[FlagCode, ...],
+        Meta(
+            description="short codes of `flag`, for tables and programs; empty also in a result of an earlier version"
+        ),
+    ] = ()
     record: Annotated[str | None, Meta(description="name of the record; null: shared by all")] = None
     positive: Annotated[
         bool, Meta(description="true: the quantity cannot be negative, and its 95 % interval in tables ends at zero")
@@ -328,16 +316,12 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     @property
     def origin_in_table(self) -> str:
         """Origin for the column of a table; of an estimate at a bound with the words ``at bound``."""
-        return f"{self.origin}, at bound" if self.flag and self.flag.startswith(AT_BOUND) else self.origin
+        return f"{self.origin}, at bound" if "at bound" in self.flag_codes else self.origin
 
-
-def flag_codes(flag: str) -> str:
-    """Return the short codes of a flag of an estimate, such as ``at bound`` or ``prior, larger error``.
-
-    The result is empty for an empty text, and ``other`` for a text of a version that has other flags.
-    """
-    found = dict.fromkeys(code for code, words in FLAG_CODES if words in flag)
-    return ", ".join(found) if found or not flag else "other"
+    @property
+    def flag_in_table(self) -> str:
+        """Codes of the flag for a table; empty without a flag, ``other`` for one of a result of an earlier version."""
+        return ", ".join(self.flag_codes) or ("other" if self.flag else "")
 
 
 class Correlation(Part, frozen=True, kw_only=True):

@@ -9,7 +9,8 @@ import numpy as np
 
 from seatrial.ident.diagnosis import EffectAttribution, Refit, Round
 from seatrial.ident.estimation import ReportedEstimates
-from seatrial.ident.results.parts import NAME_DECIDES, FitSummary, ParameterRow
+from seatrial.ident.model import Flag
+from seatrial.ident.results.parts import FitSummary, ParameterRow
 from seatrial.ident.results.tables import format_number
 
 LEAST_DIFFERENCE = 1.0  # standard errors of an estimate; a smaller difference between the names is not stated
@@ -35,7 +36,7 @@ def with_rival_values(
     rounds
         Rounds of the search, with their refits.
     """
-    found: dict[str, str] = {}
+    found: dict[str, Flag] = {}
     for a in attributions:
         search_round = next((r for r in rounds if r.chosen is not None and r.chosen.effect.name == a.effect), None)
         if a.attribution != "ambiguous" or search_round is None:
@@ -48,12 +49,17 @@ def with_rival_values(
                 values = _values(row, refits)
                 if np.ptp([*values.values()] or [0.0]) > LEAST_DIFFERENCE * row.se:
                     each = ", ".join(f"{format_number(v)} with {n}" for n, v in values.items())
-                    found.setdefault(row.name, f"{NAME_DECIDES}: {each}")
-    flagged = (
-        msgspec.structs.replace(row, flag="; ".join(filter(None, (row.flag, found.get(row.name)))) or None)
-        for row in fit.parameters
-    )
-    return msgspec.structs.replace(fit, parameters=tuple(flagged))
+                    text = f"depends on which of the similar effects is in the model: {each}"
+                    found.setdefault(row.name, Flag("ambiguous", text))
+    return msgspec.structs.replace(fit, parameters=tuple(_flagged(row, found.get(row.name)) for row in fit.parameters))
+
+
+def _flagged(row: ParameterRow, flag: Flag | None) -> ParameterRow:
+    """Return the row of a parameter with a further flag; the same row for None."""
+    if flag is None:
+        return row
+    text, codes = "; ".join(filter(None, (row.flag, flag))), (*row.flag_codes, flag.code)
+    return msgspec.structs.replace(row, flag=text, flag_codes=codes)
 
 
 def _values(row: ParameterRow, refits: Sequence[Refit]) -> dict[str, float]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -17,20 +18,18 @@ from seatrial.ident.data import LoadedLog, Record, given_inputs
 from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
 from seatrial.ident.estimation import (
     AT_BOUND,
-    FROM_PRIOR,
     Fit,
     FittedModel,
     HomogeneityTest,
     Profile,
     ReportedEstimates,
     Role,
-    given_prior_remark,
+    given_prior_flags,
     run_differences,
 )
-from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, ModelKind, Parameter, segment_name
+from seatrial.ident.model import Effect, EffectKind, Flag, ForceCurve, Model, ModelKind, Parameter, segment_name
 from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power
 from seatrial.ident.results.parts import (
-    NO_MASS,
     CalibrationRow,
     Calibrations,
     CalibrationTable,
@@ -136,6 +135,10 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
             share = finite(fit.prior_weight[fit.names.index(name)]) if name in fit.names else None
             if p.considered_sd is not None:
                 error, share = p.considered_sd * reported.factor(p.unit), 1.0
+            found = [
+                *_flags(flags.get(name), p, fit.estimate(p.name, i), share, reported),
+                *_beside_inertial_curve(p, fit.model.effects),
+            ]
             rows.append(
                 ParameterRow(
                     name=scale.name(p.name, p.unit),
@@ -147,16 +150,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
                     origin=str(p.provenance),
                     prior_share=share,
                     start=finite(start[p.name] * reported.factor(p.unit)) if p.name in start else None,
-                    flag="; ".join(
-                        filter(
-                            None,
-                            [
-                                *_flag_texts(flags.get(name), p, fit.estimate(p.name, i), share, reported),
-                                _beside_inertial_curve(p, fit.model.effects),
-                            ],
-                        )
-                    )
-                    or None,
+                    **_flag_fields(found),
                     record=fit.records[i] if p.per_record and p.free and len(names) > 1 else None,
                     positive=p.transform == "log" or p.bounds[0] >= 0.0,
                 )
@@ -187,29 +181,34 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
     )
 
 
-def _flag_texts(
-    flag: str | None, p: Parameter, estimate: tuple[float, float], share: float | None, reported: ReportedEstimates
-) -> list[str]:
-    """Return the flag of a fit as a sentence, and the line on a prior that the user gave; "" for what does not apply.
+def _flags(
+    flag: Flag | None, p: Parameter, estimate: tuple[float, float], share: float | None, reported: ReportedEstimates
+) -> list[Flag]:
+    """Return the flag of a fit with its whole sentence, and the flags on a prior that the user gave.
 
     ``estimate`` is the value and its standard error in the unit of the parameter, and ``share`` that of the prior in
-    the information. The line on the prior contains the share, so that a flag with the share alone is left out.
+    the information. The flags on the prior contain the share, so that a flag with the share alone is left out.
     """
     factor, unit = reported.factor(p.unit), reported.scale.unit(p.unit)
-    line = given_prior_remark(p, estimate, share or 0.0, factor, unit)
-    if line and flag is not None and flag.endswith(FROM_PRIOR):
-        return [line]
-    return [_flag_text(flag, p, estimate[0], reported), line]
+    of_prior = given_prior_flags(p, estimate, share or 0.0, factor, unit)
+    if flag is None or (of_prior and flag.code == "prior"):
+        return [*of_prior]
+    return [Flag(flag.code, _flag_text(flag, p, estimate[0], reported)), *of_prior]
 
 
-def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedEstimates) -> str:
-    """Return a flag of a fit as a sentence for the user. Only that of a parameter at its bound is extended.
+def _flag_fields(flags: Sequence[Flag]) -> dict[str, Any]:
+    """Return text and codes of the flags of an estimate, as fields of its row in the table of parameters."""
+    return {"flag": "; ".join(flags) or None, "flag_codes": tuple(dict.fromkeys(flag.code for flag in flags))}
+
+
+def _flag_text(flag: Flag, p: Parameter, value: float, reported: ReportedEstimates) -> str:
+    """Return the text of a flag of a fit for the user. Only that of a parameter at its bound is extended.
 
     The sentence has the bound in reported units, what the estimate means, and what to do.
 
     Parameters
     ----------
-    flag : str or None
+    flag : Flag
         Flag of the fit (`Fit.flags`).
     p : Parameter
         The parameter.
@@ -219,7 +218,7 @@ def _flag_text(flag: str | None, p: Parameter, value: float, reported: ReportedE
         Units of the result.
     """
     if flag != AT_BOUND:
-        return flag or ""
+        return flag
     low, high = p.bounds
     at_low = abs(value - low) <= abs(value - high)
     bound = low if at_low else high
@@ -247,15 +246,16 @@ def _has_lasting_error(model: Model, noise: str) -> bool:
     return any(o.noise == noise for s in model.sensors if s.name in SENSORS_WITH_CORRELATED_ERRORS for o in s.outputs)
 
 
-def _beside_inertial_curve(p: Parameter, effects: Iterable[Effect]) -> str:
-    """Return a sentence if an added curve has the form of an inertial force of a mass, whose parameter is ``p``.
+def _beside_inertial_curve(p: Parameter, effects: Iterable[Effect]) -> list[Flag]:
+    """Return a flag if an added curve has the form of an inertial force of a mass, whose parameter is ``p``.
 
-    The text is empty for any other parameter, and without such a curve among ``effects``.
+    The list is empty for any other parameter, and without such a curve among ``effects``.
     """
     for curve, product, masses in inertial_curves(effects):
         if p.name in masses and p.free:
-            return f"the curve {curve.force}({curve.variables}) has the form of {product}: {NO_MASS}"
-    return ""
+            form = f"the curve {curve.force}({curve.variables}) has the form of {product}"
+            return [Flag("no mass", f"{form}: this is no physical mass")]
+    return []
 
 
 def inertial_curves(effects: Iterable[Effect]) -> list[tuple[ForceCurve, str, tuple[str, ...]]]:

@@ -68,6 +68,7 @@ COLUMNS: dict[str, type] = {
     "per_log": bool,  # the true value differs from log to log, as that of the current
     "origin": str,
     "flag": str,
+    "flag_codes": str,  # short codes of the flag, separated by commas
     "model": str,
     "converged": bool,
     "message": str,
@@ -466,6 +467,7 @@ def _row_of_parameter(row: ParameterRow, prior_parts: Mapping[str, float], corre
         "free": row.free,
         "origin": row.origin,
         "flag": row.flag,
+        "flag_codes": ", ".join(row.flag_codes) or None,
     }
 
 

@@ -170,7 +170,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
         homogeneity,
         FitContext(
             problem.model.values,
-            [*filter(None, [problem.thrust]), *problem.notes, *problem.noise_bounds, *fitted.outlier_notes],
+            [*filter(None, [problem.thrust]), *problem.notes, *problem.noise_notes, *fitted.outlier_notes],
             problem.unused,
             loaded[0].hull(request.mass),
             tested,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from seatrial.ident.estimation import (
 )
 from seatrial.ident.model import Model, ModelKind, ParameterOrigin
 from seatrial.ident.models import is_own_model, thrust_calibration
-from seatrial.ident.results import UnusedSignal
+from seatrial.ident.results import NOMOTO, NOMOTO_LAG, UnusedSignal
 from seatrial.ident.workflows.check import with_estimator_errors, with_noise_floors
 from seatrial.ident.workflows.model_inputs import (
     check_horizon,
@@ -120,9 +120,10 @@ class VehicleProblem:
         Signals of each log for the estimation, and of each log for the validation.
     notes
         Lines of text on geometry of the rig, calibration and priors.
-    noise_bounds
-        Line of text on the lower bounds of the noise of smoothed signals, if there are any. It is no warning, because
-        the checks of the logs have one.
+    noise_notes
+        Lines of text on the noise that the model assumes: states for the errors of a navigation filter, and lower
+        bounds of the noise of smoothed signals. They are no warnings: each fit to the logs would repeat them, and the
+        checks of the logs warn of signals that this can spoil.
     thrust
         Line of text on the signals that the thrust is computed from; empty if the thrust itself is an input.
     unused
@@ -138,7 +139,7 @@ class VehicleProblem:
     segments: list[LogSegment]
     validation: list[LogSegment]
     notes: list[str]
-    noise_bounds: list[str]
+    noise_notes: list[str]
     thrust: str
     unused: list[UnusedSignal]
     choice: str = ""
@@ -204,7 +205,7 @@ def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, 
     """
     name, *options = source.split(":")
     slowest = max((x.run.channels[n].sampled for x in loaded for n in SHAFTS if n in x.run.channels), default=0.0)
-    if name != "nomoto" or "sampled" in options or slowest < SLOW_INPUT_S:
+    if name != NOMOTO or "sampled" in options or slowest < SLOW_INPUT_S:
         return source, []
     chosen = ":".join((name, "sampled", *options))
     return chosen, [
@@ -239,6 +240,30 @@ def considered_notes(model: Model) -> list[str]:
     return [
         f"The standard errors include sensor errors that no log determines: {', '.join(words)}. "
         f"--prior {held[0].name}={held[0].value:g}:SD of a fit sets your own value."
+    ]
+
+
+def _held_lag_notes(source: str, model: Model, fixed: Collection[str]) -> list[str]:
+    """Return the note that the time constant of Nomoto's model is not estimated, and how to estimate it.
+
+    The list is empty for another model, and if the user gave the time constant a prior or a value.
+
+    Parameters
+    ----------
+    source
+        Name of the model, such as ``nomoto:sampled``.
+    model
+        The model with the priors and fixed parameters of the user.
+    fixed
+        Names of the parameters that the user fixed.
+    """
+    if source.partition(":")[0] != NOMOTO or model.parameter(NOMOTO_LAG).free or NOMOTO_LAG in fixed:
+        return []
+    return [
+        f"{NOMOTO}: the time constant of the yaw rate, {NOMOTO_LAG}, is held at 0 s and not estimated, because without "
+        "a prior it cannot be told from the delays of the inputs and the gyro. To estimate it, give the value that you "
+        f"expect and its standard deviation, such as --prior {NOMOTO_LAG}=0.5:0.5 (s). For a vehicle that turns at "
+        f"once, --fix {NOMOTO_LAG}=0 ends this warning."
     ]
 
 
@@ -277,10 +302,9 @@ def vehicle_problem(
     source, sampled = with_sampled_inputs(source, loaded)
     model = choose_model(source, [*loaded, *validation_logs])
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
-    notes = [*sampled, *notes]
+    notes, noise_notes = [*sampled, *notes], list[str]()
     if not is_own_model(source):
-        model, navigation_notes = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
-        notes += navigation_notes
+        model, noise_notes = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
     if curve is not None:
         model, calibration_notes = with_calibration(model, curve, user_defined=is_own_model(source))
         notes += calibration_notes
@@ -288,6 +312,7 @@ def vehicle_problem(
     require_one_frame(model, [*loaded, *validation_logs])
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, fixed_notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
+    notes += _held_lag_notes(source, model, request.fixed)
     model = with_values_per_log(model, request.per_log)
     model, ahead = _with_thrust_ahead(free_unknown_scale(model), request, loaded[0].vehicle)
     model, floors = with_noise_floors(model, loaded)
@@ -296,8 +321,8 @@ def vehicle_problem(
     segments, validation = ([x.run for x in part] for part in (loaded, validation_logs))
     unused = unused_signals(model, loaded, validation_logs)
     choice = inputs_sentence(model, [*loaded, *validation_logs]) if source == "auto" else ""
-    notes, thrust = [*notes, *fixed_notes], thrust_from(model, loaded)
-    return VehicleProblem(model, segments, validation, notes, floors, thrust, unused, choice, ahead)
+    notes, noise_notes, thrust = [*notes, *fixed_notes], [*noise_notes, *floors], thrust_from(model, loaded)
+    return VehicleProblem(model, segments, validation, notes, noise_notes, thrust, unused, choice, ahead)
 
 
 def _with_thrust_ahead(

@@ -241,8 +241,7 @@ class FitReport(Shown):
     def summary(self) -> str:
         """Return a table of the estimates as text, with the answer, the warnings and the notes.
 
-        The columns are estimate, standard error, 95 % interval, t statistic, unit and origin. Long notes are
-        shortened; `notes` has them in full.
+        The columns are estimate, standard error, 95 % interval, t statistic, unit and origin.
         """
         return tables.summary(self.result)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
@@ -59,14 +59,13 @@ class FittedFleet(Shown):
         SeatrialError
             If pandas is not installed.
         """
-        from seatrial.ident.results import flag_codes
-
         import_library("pandas")
         frame = self.table.to_pandas()
-        columns: dict[str, Callable[[str], str]] = {"flag": flag_codes, **dict.fromkeys(TEXTS, in_python)}
-        for name, shown in columns.items():
+        if "flag_codes" in frame:  # a table of an earlier version has texts alone
+            frame["flag"] = frame.pop("flag_codes")
+        for name in TEXTS:
             if name in frame:
-                frame[name] = [shown(x) if isinstance(x, str) else x for x in frame[name]]
+                frame[name] = [in_python(x) if isinstance(x, str) else x for x in frame[name]]
         return frame
 
     def values(self, column: str = "value") -> Any:
@@ -84,9 +83,10 @@ class FittedFleet(Shown):
         SeatrialError
             If pandas is not installed, or if there is no such column.
         """
-        if column not in self.table.column_names:
-            raise SeatrialError(f"there is no column {column!r}; choose one of {', '.join(self.table.column_names)}")
-        rows = self.to_pandas().dropna(subset=["parameter"])
+        frame = self.to_pandas()
+        if column not in frame:
+            raise SeatrialError(f"there is no column {column!r}; choose one of {', '.join(frame)}")
+        rows = frame.dropna(subset=["parameter"])
         wide = rows.pivot(index="log", columns="parameter", values=column)
         return wide[list(dict.fromkeys(rows["parameter"]))]
 

@@ -220,8 +220,9 @@ class Saved(MotionMethods, Shown):
             return tables.summary(self.result)
         if self.result is not None:
             return text_of(self.result)
-        errors = self.standard_errors
-        return "\n".join(f"{n} = {v:.6g} ± {errors.get(n, np.nan):.2g}" for n, v in self.params.items())
+        errors = {n: f" ± {e:.2g}" for n, e in self.standard_errors.items() if np.isfinite(e)}
+        lines = [f"{n} = {v:.6g}{errors.get(n, '')}" for n, v in self.params.items()]
+        return "\n".join([*lines, *(["± is one standard error."] if errors else [])])
 
     def _require_fit(self, field: str) -> None:
         """Raise SeatrialError if the loaded result lacks a field, which every result of a fit has."""

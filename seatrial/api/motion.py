@@ -390,9 +390,11 @@ class Steady(Shown):
     def answer(self) -> str:
         """Largest steady speed and turn rate within the commands of the data, and the conditions, in sentences.
 
-        The number after ± is one standard error. A speed or turn rate beyond those of the data is marked. A sentence
-        says why a model that depends on heading or place has no steady turn rate.
+        A speed or turn rate beyond those of the data is marked. A sentence says why a model that depends on heading or
+        place has no steady turn rate, and another one that ± is one standard error.
         """
+        from seatrial.ident.results import standard_error_sentence
+
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
         found = []
         for quantity, (name, factor, unit) in words.items():
@@ -428,6 +430,8 @@ class Steady(Shown):
                 found.append(
                     f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a {drive} of {command}{beyond}."
                 )
+        if errors := standard_error_sentence(*found):
+            found.append(errors)
         if not self.turns and any(len(c.inputs) > 1 for c in self.curves) and (why := turn_sentence(self.conditions)):
             found.append(why)
         if self.conditions:

@@ -36,7 +36,14 @@ from seatrial.api.fits import (
     window_of,
 )
 from seatrial.api.logs import PathLike, as_logs
-from seatrial.api.messages import OF_THRUSTER, Messages, errors_of_users, warn_of_result, with_texts_in_python
+from seatrial.api.messages import (
+    OF_DESIGN,
+    OF_THRUSTER,
+    Messages,
+    errors_of_users,
+    warn_of_result,
+    with_texts_in_python,
+)
 from seatrial.api.shown import Content, Shown, number
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
@@ -502,16 +509,17 @@ def design(
 
     given, file = known_options(options, DesignOptions), as_path(out, "out")
     _check_design(given)
-    reporter = Messages(given.pop("progress", None))
+    reporter = Messages(given.pop("progress", None), OF_DESIGN)
     area, speed, energy, current = (given.pop(name, None) for name in ("area", "max_speed", "energy", "current"))
     limits = DesignLimits(None if area is None else as_sides("area", area), speed, energy, current or 0.0)
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
-    with errors_of_users(), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
+    with errors_of_users(OF_DESIGN), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
         request = DesignRequest(**given, limits=limits)
         command = python_call(design, {"model": model, "out": out, "force": force, **options})
         found = make_design(str(source), request, file, command, reporter, force)
+    found = with_texts_in_python(found, OF_DESIGN)
     warn_of_result(found, reporter)
-    return with_texts_in_python(found)
+    return found
 
 
 def _check_design(given: Mapping[str, Any]) -> None:

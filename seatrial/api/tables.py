@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
 NORMAL_95 = 1.959964  # standard deviations of a normal distribution on each side of its 95 % interval
 WIDTH = 100  # columns of a summary
-LONGEST_NOTE = 240  # characters of a note in a summary
 LEVEL = 0.01  # significance level of the residual tests
 STATISTICS = {  # name of the statistic of each test of the residuals
     "ljung-box": "largest autocorrelation",
@@ -174,9 +172,13 @@ def statistics(row: ParameterRow) -> Statistics:
 def conclusion(result: Result) -> str:
     """Return the main conclusion of a result, followed by its caveat, which only a diagnosis may have.
 
-    Commands and their options are replaced by functions and arguments of the Python interface.
+    Commands and their options are replaced by functions and arguments of the Python interface. A last sentence explains
+    ± if the text has it.
     """
-    return in_python(" ".join(filter(None, (result.answer, getattr(result, "caveat", None)))))
+    from seatrial.ident.results import standard_error_sentence
+
+    texts = (result.answer, getattr(result, "caveat", None))
+    return in_python(" ".join(filter(None, (*texts, standard_error_sentence(*texts)))))
 
 
 def warning_texts(result: Result) -> list[str]:
@@ -194,8 +196,7 @@ def summary(result: FitResult) -> str:
 
     The parameters of effects that the user or a diagnosis added come first in the table. Above it are method and
     log-likelihood, then the `conclusion`, and of a diagnosis the labels of the names and what to look for on the craft.
-    Flags, which name problems of single estimates, follow the table. Notes come last, and long ones are shortened
-    (`short_note`).
+    Flags, which name problems of single estimates, follow the table. Notes come last.
     """
     from seatrial.ident.results import causes_sentence, name_probabilities
 
@@ -233,25 +234,8 @@ def summary(result: FitResult) -> str:
         ["", *(textwrap.fill(f"warning: {text}", WIDTH) for text in warning_texts(result))] if result.warnings else []
     )
     notes = note_texts(result)
-    lines += ["", *(textwrap.fill(f"note: {short_note(text)}", WIDTH) for text in notes)] if notes else []
-    if any(short_note(text) != text for text in notes):
-        lines.append('(in full: the attribute "notes")')
+    lines += ["", *(textwrap.fill(f"note: {text}", WIDTH, subsequent_indent="  ") for text in notes)] if notes else []
     return "\n".join(lines)
-
-
-def short_note(text: str) -> str:
-    """Return the first sentences of a note that have at most 240 characters together, with " …" if some are left out.
-
-    A first sentence that is longer than this is cut between two words.
-    """
-    if len(text) <= LONGEST_NOTE:
-        return text
-    sentences, short = re.split(r"(?<=\.) (?=[A-Z`])", text), ""
-    for sentence in sentences:
-        if len(short) + len(sentence) + 1 > LONGEST_NOTE:
-            break
-        short = f"{short} {sentence}".strip()
-    return f"{short} …" if short else textwrap.shorten(text, LONGEST_NOTE, placeholder=" …")
 
 
 def effect_parameters(result: FitResult) -> set[str]:
@@ -277,11 +261,9 @@ def labelled_covariance(covariance: NDArray[np.float64], names: Sequence[str]) -
 def frame(result: FitResult) -> Any:
     """Return the parameters of a fit as a ``pandas.DataFrame`` with a row for each; SeatrialError without pandas.
 
-    The flags are short codes (`flag_codes`); their texts stand in `summary`.
+    The flags are short codes; their texts stand in `summary`.
     """
-    from seatrial.ident.results import flag_codes
-
-    rows = [statistics(row)._replace(flag=flag_codes(row.flag or "")) for row in result.fit.parameters]
+    rows = [statistics(row)._replace(flag=row.flag_in_table) for row in result.fit.parameters]
     return import_library("pandas").DataFrame(rows, columns=list(Statistics._fields)).set_index("name")
 
 

@@ -395,7 +395,7 @@ def test_summary_says_how_often_such_names_were_right(found: st.FittedDiagnosis)
     assert "Names of the effects" not in without.summary()
 
 
-def test_summary_ends_with_short_notes(fit: st.FittedVehicle) -> None:
+def test_summary_ends_with_whole_notes(fit: st.FittedVehicle) -> None:
     """A contradiction of a given thrust was only in the notes, which the summary left out."""
     given = "The estimate of c1 is 28 N, where 29 ± 1.1 N was given. Check the given value."
     listed = f"Small errors are estimated too: {', '.join(40 * ['latency'])}."
@@ -403,9 +403,15 @@ def test_summary_ends_with_short_notes(fit: st.FittedVehicle) -> None:
     noted = replace(fit, result=structs.replace(fit.result, notes=notes, warnings=()))
     text = noted.summary()
     words = " ".join(text.split())
-    assert f"note: {given} … note: Small errors are estimated too: latency," in words
-    assert words.endswith('latency, … note: Parameter T_r: at its bound (in full: the attribute "notes")')
-    assert max(map(len, text[text.index("note: ") :].splitlines())) <= 100
+    ends = (
+        f"note: {given} {60 * 'More '}. Then `st.diagnose`.",
+        f"note: {listed}",
+        "note: Parameter T_r: at its bound",
+    )
+    assert words.endswith(" ".join(" ".join(ends).split()))
+    lines = text[text.index("note: ") :].splitlines()
+    assert max(map(len, lines)) <= 100
+    assert all(line.startswith(("note: ", "  ")) for line in lines)
     assert "`st.diagnose`" in noted.notes[0]
     few = replace(fit, result=structs.replace(fit.result, notes=notes[2:])).summary()
     assert few.endswith("\nnote: Parameter T_r: at its bound")
@@ -1576,7 +1582,8 @@ def test_texts_of_results_and_checks_have_no_options_of_the_command_line(
     logs: list[Path], fit: st.FittedVehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A flag of an estimate, an answer and the advice of a check may name options, which are arguments in Python."""
-    rows = [structs.replace(p, flag="at its bound. Fix it (--fix d_rr=0)") for p in fit.result.fit.parameters]
+    flag: dict[str, Any] = {"flag": "at its bound. Fix it (--fix d_rr=0)", "flag_codes": ("at bound",)}
+    rows = [structs.replace(p, **flag) for p in fit.result.fit.parameters]
     result = structs.replace(fit.result, fit=structs.replace(fit.result.fit, parameters=tuple(rows)))
     result = structs.replace(result, answer="The mass is uncertain: give it (--fix e_psi=VALUE) or --prior m_u=30:2.")
     told = replace(fit, result=result)

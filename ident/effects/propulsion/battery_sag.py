@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from seatrial.ident.model import INF, Effect, Estimates, Input, Parameter, Signals, share_in_words
 
 
@@ -21,6 +23,17 @@ FULL_POWER = 75.0  # s, of two thrusters at full power for one unit of work
 def loss(estimates: Estimates) -> str:
     """Return a clause for reports: the loss of thrust ``beta_E`` in one unit of work, which is 75 s at full power."""
     return f"the thrust falls by {share_in_words(*estimates['beta_E'])} % in {FULL_POWER:g} s of full power"
+
+
+def loss_in_data(estimates: Estimates, at_end: Mapping[str, Sequence[float]]) -> str:
+    """Return a clause for reports: the loss of thrust at the end of a run, the one with the most work of several."""
+    value, error = estimates["beta_E"]
+    work = max(at_end["work"])
+    run = "the run" if len(at_end["work"]) == 1 else "the run with the most work"
+    return (
+        f"at the end of {run}, after the work of {FULL_POWER * work:.0f} s at full power, the thrust is "
+        f"{share_in_words(value * work, error * work)} % smaller than at its start"
+    )
 
 
 EFFECT = Effect(
@@ -48,4 +61,5 @@ EFFECT = Effect(
     one_sided=True,
     alternatives=("derating", "load-sag", "current-drift", "tether", "advance-ratio"),
     in_words=loss,
+    in_words_of_data=loss_in_data,
 )

@@ -244,7 +244,7 @@ def key_parameters(fit: FitSummary) -> list[Any]:
         found.append((title, _symbol_and_value(row, factor * value, factor * se, unit)))
     if not found:
         return []
-    caption = ["± one standard error" + (", statistical only" if fit.scale.statistical_only else "")]
+    caption = ["± is one standard error" + (", statistical only" if fit.scale.statistical_only else "")]
     shown = found[:MAX_KEY_PARAMETERS]
     caption += [f"{estimated - len(shown)} more below"] if estimated > len(shown) else []
     return [Facts(shown, "cards"), Prose("; ".join(caption), "caption")]

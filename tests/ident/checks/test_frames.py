@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from seatrial.ident.workflows.check import (
     with_estimator_errors,
     with_noise_floors,
 )
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 from tests.missions import boat_with, channels_of, sail
 
 SIDES = {"left": -0.15, "right": 0.15}
@@ -211,6 +213,15 @@ def test_position_of_an_estimator_gets_correlated_errors(run: dict[str, Channel]
     assert with_estimator_errors(model, [log]) == (model, [])
     assert with_estimator_errors(horizontal_model(), [log], {"e_xy"}) == (horizontal_model(), [])
     assert with_estimator_errors(horizontal_model(), [replace(log, run=LogSegment("run", run))])[1] == []
+
+
+def test_states_for_errors_of_a_filter_are_no_warning_of_each_fit(run: dict[str, Channel]) -> None:
+    """The user heard of RTK in each fit, though nothing is to be done. The result has it as a note."""
+    about = {"path": "run", "duration": 60.0, "name": "run"}
+    log = LoadedLog(LogSegment("run", run | {n: filtered(run[n], 5) for n in ("x", "y")}), about, {}, None)
+    problem = vehicle_problem(VehicleRequest((), (), Path()), [log], [])
+    assert "RTK" in " ".join(problem.noise_notes)
+    assert "RTK" not in " ".join(problem.notes)
 
 
 def test_signals_of_a_boat_at_rest_are_not_frozen(run: dict[str, Channel]) -> None:

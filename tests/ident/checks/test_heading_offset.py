@@ -76,7 +76,10 @@ def test_the_log_that_differs_from_the_others_is_named_with_all_angles() -> None
     angles = [("a", 0.1), ("b", 11.5), ("c", 12.2), ("d", 11.4)]
     ((name, finding),) = compare_headings([(n, HeadingAngle(angle, 0.5)) for n, angle in angles])
     assert (name, finding.level, finding.code) == ("a", "warning", "heading-offset-differs")
-    assert "a 0.1 ± 0.5 deg, b 11.5 ± 0.5 deg, c 12.2 ± 0.5 deg, d 11.4 ± 0.5 deg" in finding.text
+    assert (
+        "a 0.1 ± 0.5 deg, b 11.5 ± 0.5 deg, c 12.2 ± 0.5 deg, d 11.4 ± 0.5 deg (clockwise, ± one standard error)"
+        in finding.text
+    )
     assert "--effect mount --per-log psi_mount" in finding.advice
     # Of two logs, the second differs from the first.
     ((name, _),) = compare_headings([("a", HeadingAngle(0.0, 0.5)), ("b", None), ("c", HeadingAngle(-6.0, 0.5))])

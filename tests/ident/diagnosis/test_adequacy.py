@@ -275,6 +275,7 @@ def test_competing_models_with_a_close_criterion_are_listed() -> None:
     assert found.attribution == "ambiguous"
     assert found.not_excluded == ("filter-lag", "lag")
     assert found.reasons == ("filter lag explains the data nearly as well (its ΔBIC is 5 worse)",)
+    assert found.competitor == "filter-lag"
 
 
 def test_a_competing_model_close_in_its_share_is_compared_by_its_share() -> None:
@@ -523,6 +524,7 @@ def test_remaining_score_is_described_in_words(name: str, description: str) -> N
     assert found.reasons[0].startswith(
         f"even with it in the model, the score tests still find {description} (expected ΔBIC "
     )
+    assert found.competitor == name
 
 
 def test_two_effects_without_remaining_scores_are_both_identified() -> None:
@@ -591,6 +593,18 @@ def test_parameter_at_its_bound_is_no_finding_in_words() -> None:
     assert silent == "k_heat = 0.9 is at the limit of this parameter, and so no estimate"
     rows = effect_parameter_rows(effect, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
     assert [row.at_bound for row in rows] == [True, False]
+
+
+def test_size_of_the_battery_loss_is_that_at_the_end_of_the_run_with_the_most_work() -> None:
+    effect = catalogue()["battery-sag"]
+    model = SimpleNamespace(parameters=effect.parameters, values={}, inputs=effect.inputs)
+    fit = a_fit(("beta_E",), [0.2], np.diag([0.02**2]), model)
+    fit.parameters, fit.records = effect.parameters, ("run1", "run2")
+    runs = [
+        SimpleNamespace(record=SimpleNamespace(inputs=("n", "work"), u=np.array([[1, 0.0], [1, w]]))) for w in (0.3, 2)
+    ]
+    told = in_words(effect, SimpleNamespace(fit=fit, estimation=runs))  # type: ignore[arg-type]
+    assert "work of 150 s at full power, the thrust is 40 ± 4 % smaller" in told
 
 
 def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:

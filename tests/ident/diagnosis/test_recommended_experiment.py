@@ -8,8 +8,8 @@ from typing import Any, cast
 
 import pytest
 
-from seatrial.ident.diagnosis.adequacy import reason_without_experiment, recommended_experiment
-from seatrial.ident.diagnosis.findings import Diagnosis
+from seatrial.ident.diagnosis.adequacy import competitor_of, reason_without_experiment, recommended_experiment
+from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution
 from seatrial.ident.effects import catalogue, nonparametric_effect
 from seatrial.ident.model import Effect, EffectKind, ForceCurve
 from seatrial.ident.models import horizontal_model, with_disturbances
@@ -25,7 +25,7 @@ def ambiguous(effect: Effect, competitor: Effect) -> Diagnosis:
         effects=(effect.name,),
         rounds=[SimpleNamespace(chosen=refit, refits=[refit])],
         remaining=[SimpleNamespace(name=competitor.name, kind=competitor.kind)],
-        attributions=[SimpleNamespace(effect=effect.name, not_excluded=(competitor.name,), attribution="ambiguous")],
+        attributions=[EffectAttribution(effect.name, "ambiguous", (), (competitor.name,))],
     )
     return cast(Diagnosis, found)
 
@@ -58,6 +58,26 @@ def test_no_experiment_distinguishes_an_effect_from_its_special_case() -> None:
         )
 
 
+def test_the_experiment_is_for_the_pair_of_the_first_doubt() -> None:
+    """The caveat doubts wind because of the lift, and the experiment was for another effect and its competitor."""
+    known, curve = catalogue(), SimpleNamespace(name="X(u)", kind=EffectKind.NONPARAMETRIC)
+    refits = [SimpleNamespace(effect=known[name]) for name in ("cubic-drag", "wind", "filter-lag", "current-drift")]
+    drag, wind = refits[:2]
+    sure = EffectAttribution("cubic-drag", "identified", (), ("filter-lag",))
+    doubted = EffectAttribution("wind", "ambiguous", ("tests find the lift",), ("current-drift",), "lift")
+    rounds = [SimpleNamespace(chosen=refit, refits=refits) for refit in (drag, wind)]
+    before, effects = SimpleNamespace(model=horizontal_model()), ("cubic-drag", "wind")
+    left = [blank_score("lift"), curve]
+    found = of(effects=effects, attributions=[sure, doubted], rounds=rounds, remaining=left, before=before)
+    text = recommended_experiment(found)
+    assert text is not None
+    assert text.startswith(f"To distinguish {known['wind'].title} from lift: {known['wind'].experiment}.")
+    assert text.index("--discriminate wind,lift`") < text.index("--discriminate cubic-drag,filter-lag`")
+    # No mission distinguishes an effect from a curve, or from a special case of it.
+    assert competitor_of(found, replace(doubted, competitor="X(u)")) == "current-drift"
+    assert competitor_of(found, replace(doubted, competitor="mooring")) == "current-drift"  # not fitted
+
+
 def of(**changed: Any) -> Diagnosis:
     """Return a diagnosis for which no experiment is recommended."""
     quiet = dict.fromkeys(("effects", "rounds", "remaining", "attributions", "untested"), ())
@@ -65,7 +85,7 @@ def of(**changed: Any) -> Diagnosis:
 
 
 def judged(attribution: str) -> SimpleNamespace:
-    return SimpleNamespace(effect="wind", attribution=attribution, not_excluded=())
+    return SimpleNamespace(effect="wind", attribution=attribution, not_excluded=(), competitor="")
 
 
 def blank_score(name: str) -> SimpleNamespace:
@@ -112,7 +132,7 @@ def test_candidates_beside_the_effects_get_the_command_that_tells_two_of_them_ap
 def test_a_curve_has_an_experiment_that_covers_its_variable(curve: tuple[str, ...], experiment: str) -> None:
     effect = nonparametric_effect(with_disturbances(horizontal_model()), ForceCurve(*curve), (0.0, 1.0))
     refit = SimpleNamespace(effect=effect)
-    of_curve = SimpleNamespace(effect=effect.name, attribution="nonparametric", not_excluded=())
+    of_curve = EffectAttribution(effect.name, "nonparametric")
     rounds = [SimpleNamespace(chosen=refit, refits=[refit])]
     text = recommended_experiment(of(effects=(effect.name,), attributions=[of_curve], rounds=rounds))
     assert text is not None

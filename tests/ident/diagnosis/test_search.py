@@ -403,6 +403,12 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     next_step = "The recommended experiment (Next experiment, in the report) may decide this."
     doubt = "It is not certain that the missing effect is hump: a lag resembles it."
     assert diagnosis_caveat(doubted) == f"{doubt} {next_step}"
+    by_curve = EffectAttribution("hump", "ambiguous", ("a lag resembles it",), ("wind",), "X(u)")
+    other = "The recommended experiment (Next experiment, in the report) distinguishes it from steady wind, which the"
+    named = replace(found, before=blank(model=horizontal_model()))
+    assert diagnosis_caveat(replace(named, attributions=(by_curve,))) == f"{doubt} {other} data do not exclude either."
+    of_wind = replace(by_curve, competitor="wind")
+    assert diagnosis_caveat(replace(named, attributions=(of_wind,))) == f"{doubt} {next_step}"
     both = (*doubted.attributions, EffectAttribution("wind", "ambiguous", ("steady-pull is as good",)))
     assert diagnosis_caveat(replace(doubted, attributions=both)) == (
         "It is not certain that one of the missing effects is hump: a lag resembles it. It is not certain that one of "

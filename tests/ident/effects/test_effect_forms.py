@@ -447,6 +447,15 @@ def test_sizes_with_a_natural_unit_are_told_in_words(
     assert told(estimates) == words
 
 
+@pytest.mark.parametrize(("work", "run"), [([0.5], "the run"), ([0.2, 0.5, 0.1], "the run with the most work")])
+def test_the_loss_by_the_battery_is_that_of_the_data(work: list[float], run: str) -> None:
+    """The user wants to know what was lost in these logs, and not in a time at full power."""
+    told = catalogue()["battery-sag"].in_words_of_data
+    assert told is not None
+    words = f"at the end of {run}, after the work of 38 s at full power, the thrust is 4.2 ± 0.6 % smaller than at its"
+    assert told({"beta_E": (0.083, 0.012)}, {"work": work}) == f"{words} start"
+
+
 @pytest.mark.parametrize(("age", "words"), [(0.08, "0.08 ± 0.01 s late"), (-0.02, "0.02 ± 0.01 s early")])
 def test_the_age_of_telemetry_is_told_in_words(age: float, words: str) -> None:
     told = telemetry_age().in_words

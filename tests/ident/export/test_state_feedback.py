@@ -66,6 +66,33 @@ def test_an_operating_point_near_the_limit_gives_a_warning(linear: LinearModel) 
             linear.lqr(Q, limit=limit)
 
 
+def test_inputs_stay_in_the_fitted_data_without_a_limit(linear: LinearModel) -> None:
+    """The thrust beyond the data is extrapolated, so a larger limit of the user gives a warning."""
+    ranges = dict.fromkeys(linear.inputs, (0.1, 0.8))
+    control = replace(linear, ranges=ranges).lqr(Q)
+    known = dict(zip(control.states, control.x0, strict=True))
+    fast, slow = control(known | {"u": -5.0}), control(known | {"u": 5.0})
+    if "f_left" in linear.inputs:  # forces have no limit that the model knows
+        assert fast.min() > 0.8
+        assert "limits" not in repr(control)
+        return
+    np.testing.assert_allclose(fast, 0.8)
+    np.testing.assert_allclose(slow, 0.0)  # the feedback can stop the boat
+    assert f"limits {linear.inputs[0]} 0 to 0.8" in repr(control)
+    np.testing.assert_allclose(linear.lqr(Q)(known | {"u": -5.0}), 1.0)  # without a range of the data
+    both = dict.fromkeys(linear.inputs, (-0.8, 0.8))
+    words = rf"limit 0\.95: the data of the fit end before it \({linear.inputs[0]} -0\.8 to 0\.8"
+    with pytest.warns(SeatrialWarning, match=words):
+        wide = replace(linear, ranges=both).lqr(Q, limit=0.95)
+    np.testing.assert_allclose(wide(known | {"u": -5.0}), 0.95)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SeatrialWarning)
+        replace(linear, ranges=both).lqr(Q, limit=0.6)
+    steady = float(np.abs(linear.u0).max())
+    with pytest.warns(SeatrialWarning, match=r"of the limit \S+ \(the end of the fitted data\): .* larger limit$"):
+        replace(linear, ranges=dict.fromkeys(linear.inputs, (0.0, steady / 0.95))).lqr(Q)
+
+
 def test_feedback_of_an_unstable_boat_warns_of_motions_far_away() -> None:
     unstable = linearise(saved(horizontal_model("shaft"), {"d_r": 3.0, "d_v": 5.0}), 0.7)
     assert unstable.poles.real.max() > 0.05

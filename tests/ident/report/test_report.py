@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from seatrial.api.tables import conclusion
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Cell, Section, Table
-from seatrial.ident.report.page import compose
+from seatrial.ident.report.page import Answer, compose
 from seatrial.ident.report.sections.answer import effect_card
 from seatrial.ident.report.terminal import print_result
-from seatrial.ident.results import NOT_WEIGHED, VehicleResult
+from seatrial.ident.results import NOT_WEIGHED, VehicleResult, standard_error_sentence
 from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
@@ -241,14 +242,44 @@ def test_a_long_headline_is_smaller_and_its_sizes_more_so(tmp_path: Path) -> Non
     assert "<h1>The model lacks steady" in written(result, tmp_path)
 
 
+def test_sizes_of_effects_in_a_long_headline_are_a_list(tmp_path: Path) -> None:
+    """The headline then has some lines on a phone. A size with other words stays in the headline."""
+    result = KINDS["diagnosis"]()
+    effect = result["effects"][0]
+    sizes = {
+        "the loss of thrust (by the battery)": "the thrust is 12 ± 2 % smaller at the end of the run",
+        "steady wind": "10.0 ± 0.5 N on the broadside, from 53 deg",
+    }
+    result["effects"] = [effect | {"title": t, "in_words": w} for t, w in sizes.items()]
+    (first, small), (second, _) = sizes.items()
+    more = "Prediction: the error falls."
+    result["answer"] = f"The model lacks {first} ({small}), and also {second} (its size is not determined). {more}"
+    text = written(result, tmp_path)
+    head = re.sub(r"<.*?>", "", text[text.index("<h1") : text.index("</h1>")]).strip()
+    assert head == f"The model lacks {first}, and also {second} (its size is not determined)."
+    lines = [" ".join(x.split()) for x in re.findall(r"<li><b>(.*?)</li>", text[: text.index(more)])]
+    assert lines == [f"The loss of thrust (by the battery)</b>: {small}"]
+    assert text.count("± is one standard error.") == 1
+    result["answer"] = f"The model lacks {second}."
+    assert '<ul class="sizes">' not in written(result, tmp_path)
+
+
+def test_plus_minus_in_an_answer_is_explained_once() -> None:
+    result = KINDS["diagnosis"]() | {"answer": "The model lacks steady wind (3.0 ± 0.4 N).", "caveat": None}
+    assert printed(result).count("± is one standard error.") == 1
+    assert standard_error_sentence("The model lacks steady wind (3 N).", None) == ""
+    assert conclusion(loaded(result)) == "The model lacks steady wind (3.0 ± 0.4 N). ± is one standard error."
+
+
 def test_rows_of_a_stacked_table_have_titled_cells() -> None:
     """A narrow screen shows these titles, where the verdict of a comparison was out of sight."""
     table = Table((("model", ""), ("verdict", "")), [["(a)", Cell("better", "good")]], stacked=True)
     section = Section("answer", "", [table])
-    text = compose("Comparison", "Good.", section, [], {}, version="1")
+    text = compose("Comparison", Answer("Good."), section, [], {}, version="1")
     assert '<table class="stacked">' in text
     assert '<td class="good" data-title="verdict">better' in text
-    plain = compose("Comparison", "Good.", Section("answer", "", [replace(table, stacked=False)]), [], {}, version="1")
+    whole = Section("answer", "", [replace(table, stacked=False)])
+    plain = compose("Comparison", Answer("Good."), whole, [], {}, version="1")
     assert "data-title=" not in plain.partition("</style>")[2]
 
 
@@ -502,7 +533,7 @@ def test_per_record_parameter_names_its_run_and_comes_last(tmp_path: Path) -> No
     text = printed(result)
     assert text.index("m_u") < text.index("current, run1") < text.index("current, run2")
     page = Page(written(result, tmp_path)).words
-    cards = page[: page.index("± one standard error")]
+    cards = page[: page.index("± is one standard error")]
     assert "m_u = 0.100 ± 0.010 kg" in " ".join(cards.split())
     assert "V_x" not in cards
 

@@ -211,7 +211,7 @@ def test_table_has_interval_t_sname_and_origin() -> None:
         "free": False,
         "origin": "given",
     }
-    ratio = row | {"name": "m_u/T", "flag": "at its bound"}
+    ratio = row | {"name": "m_u/T", "flag": "at its bound", "flag_codes": ["at bound"]}
     content["fit"]["parameters"] = [row, fixed, ratio]
     cells = re.findall(r"<td[^>]*>(.*?)</td>", page.render(loaded(content)).split('id="parameters"')[1], re.DOTALL)
     names = [" ".join(c.split()) for c in cells[:27]]

@@ -24,6 +24,7 @@ def test_noise_at_its_bound_is_named_as_such(tmp_path: Path) -> None:
     row["name"], row["meaning"] = "e_psi", "noise of the heading"
     assert "e_psi" not in printed(result)
     row["flag"] = "at its bound 0.0017, the lowest possible value: the data show less noise than this"
+    row["flag_codes"] = ["at bound"]
     assert "⚠ e_psi: at its bound 0.0017" in " ".join(printed(result).split())
     assert "estimated, at bound" in written(result, tmp_path)
 

@@ -1,52 +1,68 @@
-"""Tests of the short codes of flags: each flag that a fit gives has one."""
+"""Tests of flags: each has its code where it is made, and the tables of results have the codes."""
 
 from __future__ import annotations
+
+import copy
+import pickle
 
 import numpy as np
 import pytest
 
-from seatrial.ident.estimation.given_priors import given_prior_remark
+from seatrial.ident.estimation.given_priors import given_prior_flags
 from seatrial.ident.estimation.standard_errors import (
     AT_BOUND,
     AUTOCORRELATED_TOO_LONG,
-    FROM_PRIOR,
     VAGUE,
     LikelihoodInterval,
     _unidentified_parameters,
 )
-from seatrial.ident.model import Parameter, ParameterOrigin
+from seatrial.ident.model import Flag, Parameter, ParameterOrigin
 from seatrial.ident.models.dead_zone import TURNS_INSIDE
-from seatrial.ident.results.parts import NO_MASS, flag_codes
+from seatrial.ident.results.parts import ParameterRow
+from seatrial.ident.results.tables import _flag_fields
 
 
-def given(estimate: tuple[float, float], weight: float) -> str:
+def given(estimate: tuple[float, float], weight: float) -> list[str]:
     mass = Parameter("m_u", 30.0, "kg", "mass", prior=(30.0, 2.0), origin=ParameterOrigin.PRIOR)
-    return given_prior_remark(mass, estimate, weight)
+    return [flag.code for flag in given_prior_flags(mass, estimate, weight)]
 
 
-@pytest.mark.parametrize(
-    ("flag", "codes"),
-    [
-        ("", ""),
-        (f"{AT_BOUND} 0.0017, the lowest possible value: the data show less noise than this", "at bound"),
-        (VAGUE, "not determined"),
-        (f"97 % {FROM_PRIOR}", "prior"),
-        (AUTOCORRELATED_TOO_LONG, "no robust error"),
-        ("its error is 2.3 times as large because q may leave its bound", "larger error"),
-        (TURNS_INSIDE, "contradicted"),
-        (f"the curve X(u) has the form of m_u u': {NO_MASS}", "no mass"),
-        (f"{AT_BOUND} 0; the curve X(u) has the form of m_u u': {NO_MASS}", "at bound, no mass"),
-        ("a flag of a later version", "other"),
-    ],
-)
-def test_a_flag_has_a_short_code(flag: str, codes: str) -> None:
-    assert flag_codes(flag) == codes
+def row(*flags: Flag) -> ParameterRow:
+    return ParameterRow(name="d", meaning="", unit="", value=0.0, se=None, free=True, **_flag_fields(flags))
 
 
-def test_flags_with_numbers_have_codes() -> None:
-    assert flag_codes(given((30.2, 1.9), 0.97)) == "prior"
-    assert flag_codes(given((30.2, 3.0), 0.97)) == "prior, larger error"
-    assert flag_codes(LikelihoodInterval(0, 1.0, 2.0).remark) == "flat"
+def test_each_flag_has_its_code_where_it_is_made() -> None:
+    assert [flag.code for flag in (AT_BOUND, VAGUE)] == ["at bound", "not determined"]
+    assert (AUTOCORRELATED_TOO_LONG.code, TURNS_INSIDE.code) == ("no robust error", "contradicted")
+    assert given((30.2, 1.9), 0.97) == ["prior"]
+    assert given((30.2, 3.0), 0.97) == ["prior", "larger error"]
+    assert given((30.2, 1.9), 0.5) == []
+    assert LikelihoodInterval(0, 1.0, 2.0).flag.code == "flat"
     _, flags = _unidentified_parameters(np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0] * 3]), "abc", "abc")
-    assert {flag_codes(text) for _, text in flags} == {"not determined"}
-    assert len(flags) == 3
+    assert [flag.code for _, flag in flags] == ["not determined"] * 3
+
+
+def test_a_row_has_text_and_codes_of_all_its_flags() -> None:
+    both = row(Flag("at bound", "at its bound 0"), Flag("no mass", "the curve is none"), Flag("no mass", "again"))
+    assert both.flag == "at its bound 0; the curve is none; again"
+    assert (both.flag_codes, both.flag_in_table) == (("at bound", "no mass"), "at bound, no mass")
+    assert both.origin_in_table == "estimated, at bound"
+    none = row()
+    assert (none.flag, none.flag_codes, none.flag_in_table, none.origin_in_table) == (None, (), "", "estimated")
+
+
+def test_words_of_a_text_give_no_code() -> None:
+    """A text that happened to have the words of another flag got its code too."""
+    assert row(Flag("ambiguous", "at its bound with lag, 4 with delay")).flag_in_table == "ambiguous"
+
+
+def test_a_flag_of_an_earlier_version_has_no_code() -> None:
+    old = ParameterRow(name="d", meaning="", unit="", value=0.0, se=None, free=True, flag="at its bound")
+    assert old.flag_in_table == "other"
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda flag: pickle.loads(pickle.dumps(flag))])
+def test_a_flag_keeps_its_code_in_another_process(copied: object) -> None:
+    assert callable(copied)
+    found = copied(AT_BOUND)
+    assert (found, found.code) == ("at its bound", "at bound")

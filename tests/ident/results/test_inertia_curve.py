@@ -35,8 +35,7 @@ def test_curve_over_a_product_of_the_inertia_has_a_note(curve: ForceCurve | None
 def test_the_row_of_a_mass_beside_such_a_curve_says_so() -> None:
     effect = replace(catalogue()["wind"], curve=ForceCurve("X", "v", "r"), kind=EffectKind.NONPARAMETRIC)
     m_u, m_v = (horizontal_model().parameter(name) for name in ("m_u", "m_v"))
-    assert (
-        _beside_inertial_curve(m_v, [effect]) == "the curve X(v, r) has the form of m_v v r: this is no physical mass"
-    )
-    assert _beside_inertial_curve(m_u, [effect]) == ""
-    assert _beside_inertial_curve(replace(m_v, free=False), [effect]) == ""
+    (flag,) = _beside_inertial_curve(m_v, [effect])
+    assert (flag.code, flag) == ("no mass", "the curve X(v, r) has the form of m_v v r: this is no physical mass")
+    assert _beside_inertial_curve(m_u, [effect]) == []
+    assert _beside_inertial_curve(replace(m_v, free=False), [effect]) == []

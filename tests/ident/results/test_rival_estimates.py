@@ -13,7 +13,7 @@ from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.model.structure import Effect
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.results.diagnosis import _physical_parameters
-from seatrial.ident.results.parts import Correlation, FitSummary, ForceScale, ParameterRow, flag_codes
+from seatrial.ident.results.parts import Correlation, FitSummary, ForceScale, ParameterRow
 from seatrial.ident.results.rival_estimates import with_rival_values
 
 MODEL = horizontal_model()
@@ -41,21 +41,21 @@ def summary(**se: float) -> FitSummary:
     )  # fmt: skip
 
 
-def flags(*refits: Refit, attribution: Any = "ambiguous", se: float = 0.1) -> dict[str, str | None]:
+def flagged(*refits: Refit, attribution: Any = "ambiguous", se: float = 0.1) -> dict[str, ParameterRow]:
     names = tuple(r.effect.name for r in refits[1:])
     of = EffectAttribution(refits[0].effect.name, attribution, ("close",), names)
     rounds = [Round((), (), refits, refits[0])]
     found = with_rival_values(summary(m_r=se, m_u=0.5), _physical_parameters(MODEL), [of], rounds)
-    return {row.name: row.flag for row in found.parameters}
+    return {row.name: row for row in found.parameters}
 
 
 def test_a_parameter_has_its_values_with_the_names_that_are_not_excluded() -> None:
-    found = flags(refit("yaw-bias", 4.1), refit("thrust-angle", 4.6))
-    assert found["m_r"] == (
+    found = flagged(refit("yaw-bias", 4.1), refit("thrust-angle", 4.6))
+    assert found["m_r"].flag == (
         "depends on which of the similar effects is in the model: 4.1 with yaw-bias, 4.6 with thrust-angle"
     )
-    assert flag_codes(found["m_r"]) == "ambiguous"
-    assert found["m_u"] == "old"  # its value is the same
+    assert found["m_r"].flag_codes == ("ambiguous",)
+    assert found["m_u"].flag == "old"  # its value is the same
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_a_sure_name_a_small_difference_and_a_failed_fit_give_no_flag(
     attribution: str, se: float, converged: bool
 ) -> None:
     pair = refit("yaw-bias", 4.1), refit("thrust-angle", 4.6, converged=converged)
-    assert flags(*pair, attribution=attribution, se=se)["m_r"] is None
+    assert flagged(*pair, attribution=attribution, se=se)["m_r"].flag is None
 
 
 def test_physical_parameters_are_masses_damping_and_thrust() -> None:

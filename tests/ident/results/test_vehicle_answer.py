@@ -513,11 +513,12 @@ GROWS = "without a controller a small yaw rate grows by a factor of e in"
     ("pole", "low", "high", "sentence"),
     [
         (-0.1, -0.3, 0.1, ""),
-        (0.25, 0.125, 0.5, f": {GROWS} 4 s (95 % interval: 2 to 8 s)."),
+        (0.25, 0.2, 0.3125, f": {GROWS} 4 s (95 % interval: 3.2 to 5 s)."),
         (
             *(0.02, -0.1, 0.125),
             "At 0.9 m/s the directional stability is not shown by the data: without a controller a small yaw rate may "
-            "grow by a factor of e in 8 s or decay in 10 s (95 % interval).",
+            "grow by a factor of e in 8 s or decay in 10 s (95 % interval). To find out, record short turns to both "
+            "sides at this speed, and equal inputs of both sides for some seconds after each.",
         ),
         (0.02, None, None, f": {GROWS} 50 s (the 95 % interval is unknown)."),
     ],

@@ -10,7 +10,7 @@ import pytest
 
 import seatrial as st
 from seatrial.daq.errors import SeatrialWarning
-from seatrial.ident.estimation.given_priors import exceeded_prior, given_prior_remark
+from seatrial.ident.estimation.given_priors import exceeded_prior, given_prior_flags
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.export.formats import export
@@ -59,15 +59,15 @@ def test_a_larger_error_is_explained_and_a_smaller_one_is_not(fitted: st.FittedV
 
 def test_one_line_has_what_was_given_what_the_data_say_and_the_fit(fitted: st.FittedVehicle, tmp_path: Path) -> None:
     c1 = Parameter("c1", 29.0, "N", transform="log", prior=(29.0, 1.1), origin=ParameterOrigin.PRIOR)
-    line = given_prior_remark(c1, (29.28, 1.09), 0.98)
+    (line,) = given_prior_flags(c1, (29.28, 1.09), 0.98)
     assert line == (
         "given 29 ± 1.1 N; the data have 2 % of the information, too little for a value of their own; "
         "fitted 29.28 ± 1.09 N"
     )
-    assert given_prior_remark(c1, (30.0, 0.7), 0.5) == ""  # nothing is unusual
-    wide = given_prior_remark(replace(c1, transform="none"), (30.0, 1.4), 0.5)
+    assert given_prior_flags(c1, (30.0, 0.7), 0.5) == ()  # nothing is unusual
+    wide = "; ".join(given_prior_flags(replace(c1, transform="none"), (30.0, 1.4), 0.5))
     assert wide.startswith("given 29 ± 1.1 N; the data alone say about 31 N; fitted 30 ± 1.4 N; its standard error is")
-    assert given_prior_remark(replace(c1, origin=ParameterOrigin.BUILT_IN), (29.28, 2.8), 0.98) == ""
+    assert given_prior_flags(replace(c1, origin=ParameterOrigin.BUILT_IN), (29.28, 2.8), 0.98) == ()
     text = (fitted.save(tmp_path) / "model.toml").read_text(encoding="utf-8")
     flag = row_of(fitted.result.fit, "c1").flag
     assert flag is not None

@@ -21,7 +21,7 @@ from seatrial.ident.report.sections.dynamics import section
 from seatrial.ident.report.terminal import print_result
 from seatrial.ident.results.answers import course_sentence
 from seatrial.ident.results.commands import FitContext, vehicle_result
-from seatrial.ident.results.parts import Dynamics, Provenance
+from seatrial.ident.results.parts import CourseStability, Dynamics, Provenance
 from seatrial.ident.results.result_file import to_json
 from seatrial.ident.validation.evaluation import evaluate
 from seatrial.ident.workflows import dynamics
@@ -123,6 +123,34 @@ def test_unstable_boat_is_named_with_its_time_constant() -> None:
     print_result(result, Console(file=text, width=4000))
     assert sentence in text.getvalue()
     assert json.loads(to_json(result))["dynamics"]["course"]["pole"] == pytest.approx(course.pole, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("low", "logs", "doubts"),
+    [
+        (0.28, 2, []),
+        (0.28, 0, []),
+        (0.28, 1, ["it rests on one log"]),
+        (0.05, 2, ["the pole is only 2.4 standard errors above zero"]),
+        (0.05, 1, ["the pole is only 2.4 standard errors above zero, and it rests on one log"]),
+        (None, 1, ["it rests on one log"]),
+    ],
+)
+def test_an_unstable_boat_is_doubted_if_one_log_or_few_standard_errors_show_it(
+    low: float | None, logs: int, doubts: list[str]
+) -> None:
+    """A fit to a single bag called its boat unstable without a word on how sure this was."""
+    high = None if low is None else 0.6 - low
+    sentence = course_sentence(CourseStability(speed=0.8, pole=0.3, low=low, high=high), logs=logs)
+    assert "the boat is directionally unstable" in sentence
+    assert all(doubt in sentence for doubt in doubts)
+    assert ("This is not sure: " in sentence) == ("fit a further log too, with short turns" in sentence) == bool(doubts)
+
+
+def test_a_stability_that_the_data_do_not_show_has_the_runs_that_would() -> None:
+    sentence = course_sentence(CourseStability(speed=0.8, pole=0.1, low=-0.2, high=0.4))
+    assert "not shown by the data" in sentence
+    assert "To find out, record short turns to both sides at this speed" in sentence
 
 
 def test_negative_damping_of_sway_has_its_lowest_speed(fitted: FittedModel) -> None:

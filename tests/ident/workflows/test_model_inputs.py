@@ -130,3 +130,20 @@ def test_answer_of_an_automatic_model_says_why_it_takes_the_commands(tmp_path: P
     request = VehicleRequest((), (), Path(), EstimationOptions(reml=True, mean_order=2))
     assert "whose samples are more than 0.15 s apart (run)" in vehicle_problem(request, [log], []).choice
     assert vehicle_problem(replace(request, model="horizontal:command"), [log], []).choice == ""
+
+
+def test_a_fit_of_nomoto_says_first_that_its_time_constant_needs_a_prior(tmp_path: Path) -> None:
+    """The user read T = 0 in the result, and only then that nothing had estimated it."""
+    log = load_run(boat_log(tmp_path / "run.mcap", boat_with(None, 1), 60.0, 7), "estimation")
+    request = VehicleRequest((), (), Path(), model="nomoto")
+
+    def told(changed: VehicleRequest) -> list[str]:
+        return [
+            note for note in vehicle_problem(changed, [log], []).notes if "is held at 0 s and not estimated" in note
+        ]
+
+    (note,) = told(request)
+    assert "give the value that you expect and its standard deviation, such as --prior T=0.5:0.5 (s)" in note
+    assert told(replace(request, priors={"T": (0.5, 0.5)})) == []
+    assert told(replace(request, fixed={"T": 0.0})) == []
+    assert told(replace(request, model="horizontal:shaft")) == []
