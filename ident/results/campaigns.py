@@ -273,8 +273,8 @@ def campaigns_answer(result: CampaignsResult) -> str:
         found = [_combination_text(c) for c in result.changed_combinations]
         found += [_change_text(p) for p in sorted(changed, key=lambda p: (not _is_of_sides(p), p.p or 0.0))]
         more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
-        begin = _changed_subject(len(changed), len(tested), result)
-        sentences = [f"{begin} changed {rate}: {'; '.join(found[:MOST_NAMES])}{more}."]
+        words = "; ".join(found[:MOST_NAMES])
+        sentences = [f"{words[0].upper()}{words[1:]}{more}.", _counts_sentence(len(changed), len(tested), result, rate)]
     else:
         n = len(result.combinations)
         rest = f", nor has {'a combination' if n == 1 else f'any of {n} combinations'} of them" if n else ""
@@ -310,16 +310,13 @@ def campaigns_answer(result: CampaignsResult) -> str:
     return " ".join(filter(None, (_worse_predicted_sentence(result), *sentences)))
 
 
-def _changed_subject(n_changed: int, n_tested: int, result: CampaignsResult) -> str:
-    """Return the subject and auxiliary verb of the headline: ``1 of 24 parameters and 1 of 3 combinations have``."""
-    of_them = f"{n_changed or 'None'} of {counted(n_tested, 'parameter')}"
-    if not result.combinations:
-        return f"{of_them} {'has' if n_changed == 1 else 'have'}"
+def _counts_sentence(n_changed: int, n_tested: int, result: CampaignsResult, rate: str) -> str:
+    """Return how many have changed: ``1 of 24 parameters and 1 of 3 combinations of them have changed at a ...``."""
+    parts = [f"{n_changed} of {counted(n_tested, 'parameter')}"] if n_changed else []
     n = len(result.changed_combinations)
-    together = f"{n or 'none'} of {counted(len(result.combinations), 'combination')} of them"
-    if not n_changed:
-        return f"{of_them}, but {together} {'has' if n == 1 else 'have'}"
-    return f"{of_them} and {together} have"
+    if n:
+        parts.append(f"{n} of {counted(len(result.combinations), 'combination')} of parameters")
+    return f"{' and '.join(parts)} {'has' if n_changed + n == 1 else 'have'} changed {rate}."
 
 
 def _combination_text(c: Difference) -> str:

@@ -20,6 +20,8 @@ from seatrial.ident.results import (
 )
 
 VALUES = {"before": "values before", "changed": "with the changes", "after": "values after"}
+# Titles of the families of parameters in the table of changes; those of the boat come first, without a title
+FAMILIES = {"boat": "", "surroundings": "Sensors and surroundings", "noise": "Noise, disturbances and offsets"}
 COLORS = {"before": drawing.BEFORE, "after": drawing.MODEL}
 SYMBOLS = {"before": "circle-open", "after": "circle"}
 MOST_LABELS = 24  # logs whose names fit beside a figure
@@ -93,11 +95,11 @@ def changes_section(result: CampaignsResult) -> Section:
         ("before ± s.e.", "num"), ("after ± s.e.", "num"), ("found from", "num"), ("scatter", "num"), ("p", "num"),
     )  # fmt: skip
     together = sorted(result.combinations, key=lambda c: not c.changed)
-    boat = [p for p in result.changed_first if not p.nuisance]
-    rest = [p for p in result.changed_first if p.nuisance]
-    rows: list[list[Cell | str]] = [_cells(p) for p in boat]
-    if rest:
-        rows += [[Cell("Noise, disturbances and sensors")], *(_cells(p) for p in rest)]
+    rows: list[list[Cell | str]] = []
+    for family, title in FAMILIES.items():
+        if own := [p for p in result.changed_first if p.family == family]:
+            rows += [[Cell(title)]] if title else []
+            rows += [_cells(p) for p in own]
     blocks: list[Any] = [Table(columns, rows, stacked=True)] if rows else []
     if together:
         of_them = Table((("combination of parameters", ""), *columns[1:]), [_cells(c) for c in together], stacked=True)
@@ -105,8 +107,9 @@ def changes_section(result: CampaignsResult) -> Section:
     lead = (
         "Means of the separate fits to the logs, with the scatter between logs as a random effect (REML) and intervals "
         "by Student's t (Hartung and Knapp). A parameter has changed if q, the p value adjusted for the number of "
-        "parameters and combinations (Benjamini and Hochberg), is at most "
-        f"{100 * result.false_discovery_rate:g} %. Found from: size from which on a change would have been found. "
+        "parameters and combinations of its family (Benjamini and Hochberg), is at most "
+        f"{100 * result.false_discovery_rate:g} %. Families are the boat, sensors and surroundings, and noise. "
+        "Found from: size from which on a change would have been found. "
         "Changed ones come first. A combination, such as the drag at a speed of the logs, may be known better than "
         "each of its parameters."
     )
