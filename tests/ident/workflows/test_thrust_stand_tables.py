@@ -9,6 +9,7 @@ import pytest
 
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.recognise import read_name
 from seatrial.daq.log import open_log
 from seatrial.daq.samples import Scalar
 from seatrial.ident.data import load_runs
@@ -62,8 +63,9 @@ def test_table_with_forward_thrust_only(unit: str, encoding: str, tmp_path: Path
     path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, unit), encoding)
     assert "# caveat: 1000 us is assumed to be rest, 2000 us full command" in text
     with open_log(path) as log:
-        assert sorted(log.sources(Scalar)) == ["force", "n_cmd_thruster", "n_thruster"]
-        force, command, speed = (log.table(Scalar, name)["value"] for name in sorted(log.sources(Scalar)))
+        assert set(log.sources(Scalar)) == {"force", "n_cmd_thruster", "n_thruster"}
+        names = ("force", "n_cmd_thruster", "n_thruster")
+        force, command, speed = (log.table(Scalar, name)["value"] for name in names)
         assert (log.unit("force"), log.role("n_cmd_thruster"), log.role("n_thruster")) == ("N", "input", "output")
     assert np.max(force) == pytest.approx(FULL_N, abs=0.1)
     assert (np.min(command), np.max(command)) == pytest.approx((0.0, 1.0))
@@ -87,7 +89,7 @@ def test_negative_load_cell_and_slow_rows(tmp_path: Path) -> None:
     assert "the thrust is negative throughout: its sign is changed" in text
     assert "rows 0.5 s apart are too slow for a time constant" in text
     with open_log(path) as log:
-        assert sorted(log.sources(Scalar)) == ["force", "n_cmd_thruster"]
+        assert set(log.sources(Scalar)) == {"force", "n_cmd_thruster"}
         assert np.max(log.table(Scalar, "force")["value"]) == pytest.approx(FULL_N, abs=0.1)
 
 
@@ -97,3 +99,38 @@ def test_table_of_a_boat_is_not_read_as_a_thrust_stand(tmp_path: Path) -> None:
         "\n".join([f"yaw [deg],{lines[0]}", *(f"{k % 90},{x}" for k, x in enumerate(lines[1:]))])
     )
     assert '"force"' not in guess_map(tmp_path / "boat.csv").text
+
+
+VOLTS, OHMS = 25.2, 0.03  # of the battery without load, and its inner resistance
+POOL = "t_s,command_pct,rpm,force_N,voltage_V,current_A"
+
+
+def pool(path: Path, header: str = POOL) -> Path:
+    """Write a bench log of a thruster with the voltage and the current of its supply: 14 A at full speed."""
+    rng = np.random.default_rng(4)
+    n = np.repeat([0.0, 0.3, 0.6, 1.0, 0.0, -0.4, -0.8, -1.0, 0.0], 80)
+    amperes = 0.2 + 13.8 * np.abs(n) ** 3
+    rows = [0.05 * np.arange(n.size), 100.0 * n, FULL_RPM * np.roll(n, 3) + rng.normal(0.0, 2.0, n.size)]
+    rows += [FULL_N * n * np.abs(n) + rng.normal(0.0, 0.05, n.size), VOLTS - OHMS * amperes, amperes]
+    np.savetxt(path, np.column_stack(rows), "%.3f", ",", header=header, comments="")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [("force_N", "N"), ("Force [N]", "N"), ("thrust (N)", "N"), ("thrust_gf", "gf"), ("thrust_g", "gf")],
+)
+def test_a_unit_in_the_name_of_the_force_is_no_assumption(tmp_path: Path, column: str, unit: str) -> None:
+    text = guess_map(pool(tmp_path / "pool.csv", POOL.replace("force_N", column))).text
+    assert f'{{ name = "force", column = "{column}", unit = "{unit}" }}' in text
+    assert "no unit" not in text
+    text = guess_map(pool(tmp_path / "pool.csv", POOL.replace("force_N", "force"))).text
+    assert "# caveat: 'force' has no unit; newtons are assumed\n" in text
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"),
+    [("supply_voltage_V", "V"), ("current_mA", "mA"), ("motor_power_W", "W"), ("n_V", ""), ("left_n", ""), ("x_a", "")],
+)
+def test_a_letter_at_the_end_of_a_name_is_a_unit_beside_its_quantity(column: str, unit: str) -> None:
+    assert read_name(column).unit == unit
