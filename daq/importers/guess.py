@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import group_held_signals, held_signals, is_sampled_slower
+from seatrial.daq.checks import group_held_signals, held_signals, is_sampled_slower, supply_line
 from seatrial.daq.errors import SeatrialError, UnknownName, first_names
-from seatrial.daq.importers.bench_table import COMMAND, bench_candidates
+from seatrial.daq.importers.bench_table import COMMAND, SHAFT, bench_candidates
 from seatrial.daq.importers.clocks import DATES, Clock, clock_of, has_named_times, row_seconds
 from seatrial.daq.importers.import_map import GEOGRAPHIC
 from seatrial.daq.importers.input_hold import input_hold
@@ -391,7 +391,10 @@ def _guess_of_run(run: RunFiles, sources: _Sources, full: Mapping[str, float] | 
         text += [line for table in file.tables for line in _length_lines(table, clocks[id(table)], main)]
         text += [f"# caveat: {line}" for line in _held_signal_comments(own, taken, clocks)]
         text += ["signal = [", *lines.of(file.tables), *_unrecognised_lines(unnamed), "]"]
-    text += [*([""] if sources.is_merged else []), *_boat_lines(taken), *([f"# no fit: {problem}"] if problem else [])]
+    # without a shaft speed the result is a static curve, which has no table of the power
+    used = supply_line(signal.name for signal in taken) if any(signal.name == SHAFT for signal in taken) else ""
+    text += [*([""] if sources.is_merged else []), *_boat_lines(taken), *([f"# {used}"] if used else [])]
+    text += [f"# no fit: {problem}"] if problem else []
     tops = {signal.name: signal.full for signal in taken if signal.full}
     names = [column for _, column in unrecognised]
     return Guess("\n".join(text).rstrip("\n") + "\n", problem, tops, names, run, sources.assumed)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from seatrial.daq.errors import SeatrialWarning
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.recognise import read_name
@@ -63,7 +65,7 @@ def test_table_with_forward_thrust_only(unit: str, encoding: str, tmp_path: Path
     path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, unit), encoding)
     assert "# caveat: 1000 us is assumed to be rest, 2000 us full command" in text
     with open_log(path) as log:
-        assert set(log.sources(Scalar)) == {"force", "n_cmd_thruster", "n_thruster"}
+        assert set(log.sources(Scalar)) == {"force", "n_cmd_thruster", "n_thruster", "voltage", "current", "power"}
         names = ("force", "n_cmd_thruster", "n_thruster")
         force, command, speed = (log.table(Scalar, name)["value"] for name in names)
         assert (log.unit("force"), log.role("n_cmd_thruster"), log.role("n_thruster")) == ("N", "input", "output")
@@ -88,8 +90,9 @@ def test_negative_load_cell_and_slow_rows(tmp_path: Path) -> None:
     path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, dt=0.5, sign=-1))
     assert "the thrust is negative throughout: its sign is changed" in text
     assert "rows 0.5 s apart are too slow for a time constant" in text
+    assert "steady.csv" not in text  # a static curve has no table of the power
     with open_log(path) as log:
-        assert set(log.sources(Scalar)) == {"force", "n_cmd_thruster"}
+        assert set(log.sources(Scalar)) == {"force", "n_cmd_thruster", "voltage", "current", "power"}
         assert np.max(log.table(Scalar, "force")["value"]) == pytest.approx(FULL_N, abs=0.1)
 
 
@@ -134,3 +137,49 @@ def test_a_unit_in_the_name_of_the_force_is_no_assumption(tmp_path: Path, column
 )
 def test_a_letter_at_the_end_of_a_name_is_a_unit_beside_its_quantity(column: str, unit: str) -> None:
     assert read_name(column).unit == unit
+
+
+@pytest.mark.parametrize(
+    "header", [POOL, "Time (s),ESC signal (%),Motor Speed (RPM),Thrust (N),Voltage (V),Current (A)"]
+)
+def test_the_efficiency_of_an_imported_bench_log(tmp_path: Path, header: str, recwarn: pytest.WarningsRecorder) -> None:
+    source = pool(tmp_path / "pool.csv", header)
+    guess = guess_map(source)
+    assert not guess.unrecognised
+    line = (
+        "# voltage, current: `seatrial ident thruster` writes the electrical power and the efficiency into steady.csv"
+    )
+    assert f"{line}, with power = voltage * current\n" in guess.text
+    (map_path := tmp_path / "map.toml").write_text(guess.text)
+    (log,) = import_files(map_path, [source], out_dir=tmp_path)
+    assert not [w for w in recwarn if "model" in str(w.message)]
+    characterise(ThrusterRequest([log], tmp_path / "out"), "test", QUIET)
+    table = np.genfromtxt(tmp_path / "out/steady.csv", delimiter=",", names=True)
+    full = table[table["command"] == 1.0]
+    watts = 14.0 * (VOLTS - OHMS * 14.0)
+    assert full["power_W"] == pytest.approx(watts, rel=1e-3)
+    assert full["efficiency_N_per_W"] == pytest.approx(FULL_N / watts, rel=0.02)
+    assert "voltage × current of the supply" in (tmp_path / "out/report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("names", "use"),
+    [
+        (("voltage", "current"), "voltage, current: .*, with power = voltage \\* current$"),
+        (("voltage_thruster", "current_thruster"), "voltage_thruster, current_thruster: .* = voltage \\* current$"),
+        (("power", "current"), "current, power: .* efficiency into steady.csv$"),
+        (("voltage", "amperes"), "voltage: .* if the map has the current too, or the power$"),
+    ],
+)
+def test_the_import_says_what_electrical_signals_are_for(tmp_path: Path, names: tuple[str, str], use: str) -> None:
+    source = pool(tmp_path / "pool.csv")
+    text = guess_map(source).text.replace(', role = "output"', "")
+    for before, after in zip(("voltage", "current"), names, strict=True):
+        text = text.replace(f'name = "{before}"', f'name = "{after}"')
+    (map_path := tmp_path / "map.toml").write_text(text)
+    with pytest.warns(SeatrialWarning) as warned:
+        import_files(map_path, [source], out_dir=tmp_path)
+    lines = [str(w.message).removeprefix(f"{map_path}: ") for w in warned]
+    assert any(re.match(use, line) for line in lines)
+    unknown = [line.partition(":")[0] for line in lines if "no model uses" in line]
+    assert unknown == [name for name in names if name == "amperes"]
