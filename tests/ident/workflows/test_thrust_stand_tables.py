@@ -183,3 +183,36 @@ def test_the_import_says_what_electrical_signals_are_for(tmp_path: Path, names: 
     assert any(re.match(use, line) for line in lines)
     unknown = [line.partition(":")[0] for line in lines if "no model uses" in line]
     assert unknown == [name for name in names if name == "amperes"]
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "scale", "rpm"),
+    [
+        ("rpm", "1", 1.0 / FULL_RPM, FULL_RPM),
+        ("rpm", "rev/min", 1.0 / FULL_RPM, FULL_RPM),
+        ("Speed [rad/s]", "1", 1.0 / FULL_RPM, FULL_RPM * 30.0 / np.pi),
+        ("shaft", "1", 1.0 / FULL_RPM, None),
+        ("rpm", "1", 1.0 / 2500.0, 2500.0),
+    ],
+)
+def test_the_shaft_speed_in_rpm_follows_from_the_scale_of_the_map(
+    tmp_path: Path, column: str, unit: str, scale: float, rpm: float | None
+) -> None:
+    source = pool(tmp_path / "pool.csv")
+    signal = f'column = "{column}", unit = "{unit}", scale = {scale}, hold = "linear" '
+    text = re.sub(r'column = "rpm".*?hold = "linear" ', signal, guess_map(source).text)
+    source.write_text(source.read_text().replace("rpm", column, 1))
+    (map_path := tmp_path / "map.toml").write_text(text)
+    (log,) = import_files(map_path, [source], out_dir=tmp_path)
+    with open_log(log) as opened:
+        assert opened.rpm_max("n_thruster") == (None if rpm is None else pytest.approx(rpm))
+        assert opened.rpm_max("force") is None
+    characterise(ThrusterRequest([log], tmp_path / "out"), "test", QUIET)
+    for name, speed in (("steady", "n"), ("lookup", "command")):
+        table = np.genfromtxt(tmp_path / f"out/{name}.csv", delimiter=",", names=True)
+        if rpm is None:
+            assert "rpm" not in table.dtype.names
+        else:
+            np.testing.assert_allclose(table["rpm"], rpm * table[speed], rtol=1e-4, atol=1e-2)
+    page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert ("shaft speed [rev/min]" in page) == (rpm is not None)
