@@ -698,7 +698,7 @@ def _scale_remark(signal: MapSignal, n_files: int) -> str:
     over = f" over its largest command, {signal.at_command:.3g}" if signal.at_command else ""
     return (
         f"  # scale: inferred, 1 / {signal.full:.6g}, the largest number of {of}{over}; better: 1 / (number at full "
-        "speed), the same on both sides and in all files"
+        "speed), the same on both sides, in all files and in the log of the bench"
     )
 
 
