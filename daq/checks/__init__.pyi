@@ -20,6 +20,9 @@ from .held_values import is_measured as is_measured
 from .held_values import is_sampled_slower as is_sampled_slower
 from .import_checks import too_many_rows_missing as too_many_rows_missing
 from .import_checks import unknown_times as unknown_times
+from .signal_names import SUPPLY as SUPPLY
 from .signal_names import advice_on_other_name as advice_on_other_name
+from .signal_names import supply_line as supply_line
+from .signal_names import supply_signals as supply_signals
 from .signal_names import unknown_names as unknown_names
 from .signal_names import unknown_names_text as unknown_names_text

@@ -54,6 +54,7 @@ OF_MODELS = frozenset(
 )
 OF_MODELS |= {"n", "force", "speed", "speed_x", "speed_y"}
 OF_THRUSTERS = ("n", "n_cmd", "f", "voltage", "force")
+SUPPLY = ("voltage", "current", "power")  # of the supply of the thruster of a bench log, alone or with its name
 
 
 def advice_on_other_name(name: str) -> str | None:
@@ -72,6 +73,36 @@ def _other_name(name: str) -> OtherName | None:
     return OTHER_NAMES[max(found, key=len)] if found else None
 
 
+def supply_signals(names: Iterable[str]) -> list[str]:
+    """Return the signals of a bench log from which `seatrial ident thruster` knows the electrical power.
+
+    They are ``voltage``, ``current`` and ``power`` in this order, alone or with the name of the thruster, as
+    ``voltage_thruster``. The list is empty for a log without the force of a load cell, or without a command or a shaft
+    speed.
+    """
+    names = list(names)
+    thrusters = {name.removeprefix("n_").removeprefix("cmd_") for name in names if name.startswith("n_")}
+    if "force" not in names or not (thrusters or "n" in names):
+        return []
+    known = [name for q in SUPPLY for name in (q, *(f"{q}_{thruster}" for thruster in sorted(thrusters)))]
+    return [name for name in known if name in names]
+
+
+def supply_line(names: Iterable[str]) -> str:
+    """Return a line on the use of the electrical signals of a bench log (`supply_signals`); empty without any."""
+    found = supply_signals(names)
+    if not found:
+        return ""
+    listed, quantities = ", ".join(found), {name.partition("_")[0] for name in found}
+    use = "`seatrial ident thruster` writes the electrical power and the efficiency into steady.csv"
+    if "power" in quantities:
+        return f"{listed}: {use}"
+    if {"voltage", "current"} <= quantities:
+        return f"{listed}: {use}, with power = voltage * current"
+    missing = "current" if "voltage" in quantities else "voltage"
+    return f"{listed}: {use} if the map has the {missing} too, or the power"
+
+
 def unknown_names(names: Iterable[str]) -> dict[str, str]:
     """Return the signals that no built-in model uses by this name, each with advice on the name to use.
 
@@ -79,10 +110,11 @@ def unknown_names(names: Iterable[str]) -> dict[str, str]:
     contain ``pwm_left`` beside ``n_left``. A user-defined model may use any name.
     """
     names, found = list(names), {}
+    of_supply = supply_signals(names)
     quantities = {name.rpartition("_")[0] for name in names}
     present = {*names, *["n"] * (not quantities.isdisjoint(OF_THRUSTERS))}
     for name in names:
-        if name in OF_MODELS or name.rpartition("_")[0] in OF_THRUSTERS:
+        if name in OF_MODELS or name.rpartition("_")[0] in OF_THRUSTERS or name in of_supply:
             continue
         near = closest_name(name, OF_MODELS)
         other = _other_name(name) or (None if near is None else OtherName(near, f"did you mean {near!r}?"))

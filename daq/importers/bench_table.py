@@ -1,4 +1,4 @@
-"""Recogniser of the tables of thrust stands (RCbenchmark, Tyto): thrust, ESC signal and shaft speed of one motor."""
+"""Recogniser of tables of thrust stands (RCbenchmark, Tyto): thrust, ESC signal, shaft speed and supply of a motor."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seatrial.daq.checks import SUPPLY
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.importers.recognise import SIDES, Candidate, MapSignal, read_name
 from seatrial.daq.importers.table import Column, Table
@@ -15,6 +16,22 @@ COMMAND, SHAFT = "n_cmd_thruster", "n_thruster"
 _FORCE = {"N": "N", "kgf": "kgf", "kg": "kgf", "gf": "gf", "g": "gf", "lbf": "lbf", "lb": "lbf", "": "N"}
 _COMMANDS = {"esc", "pwm", "throttle", "cmd", "command"}
 _NOT = {"efficiency", "servo", "power", "torque", "current", "voltage", "temperature", "vibration", "min", "max"}
+# Words of a voltage, a current or a power that is not that of the supply: of the phases of the motor, of its shaft, ...
+_NOT_OF_SUPPLY = {
+    "efficiency",
+    "factor",
+    "limit",
+    "max",
+    "mech",
+    "mechanical",
+    "min",
+    "peak",
+    "phase",
+    "servo",
+    "shaft",
+}
+_NOT_OF_SUPPLY |= {"cell", "cmd", "command", "setpoint", "target", "temperature", "water"}
+_UNITS_OF_SUPPLY = {"voltage": ("V", "mV"), "current": ("A", "mA"), "power": ("W",)}
 REST_SHARE = 0.03  # share of the greatest speed or thrust; the motor is at rest below it
 REVERSE_SHARE = 0.05  # share of the greatest thrust; a load cell at rest may show so much reverse thrust
 SLOWEST_SHAFT_S = 0.2  # s between rows; a longer step does not resolve the time constant of a shaft
@@ -57,10 +74,11 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
         One candidate for each signal, with a caveat about what is assumed ("" if nothing is): ``force`` (the thrust;
         its sign is changed if it is never above 5 % of its largest magnitude; without a unit it is in newtons),
         ``n_cmd_thruster`` (the command, scaled to -1 to 1) and, if the table has a shaft speed other than zero,
-        ``n_thruster`` (the speed divided by its largest magnitude). The map will not contain the shaft speed (its
-        candidate has rank 5, which is never chosen) in two cases. In the first, the thrust is above 5 % of its largest
-        magnitude in both directions, and no speed is negative. In the second, the rows are more than 0.2 s apart
-        (median); without times (`t` None) this is not checked. The list is empty for any other table.
+        ``n_thruster`` (the speed divided by its largest magnitude). Voltage, current and electrical power of the supply
+        follow as ``voltage``, ``current`` and ``power``, if the table has them. The map will not contain the shaft
+        speed (its candidate has rank 5, which is never chosen) in two cases. In the first, the thrust is above 5 % of
+        its largest magnitude in both directions, and no speed is negative. In the second, the rows are more than 0.2 s
+        apart (median); without times (`t` None) this is not checked. The list is empty for any other table.
     """
     numbers = dict(_number_columns(table))
     found = _stand_columns(table, numbers)
@@ -78,6 +96,7 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     speed = numbers.get(found.speed)
     extra, caveat = _command_scale(command, thrust if speed is None else speed, is_reversed)
     signals.append(Candidate("command", 0, table, (MapSignal(COMMAND, (found.command,), "1", "", extra),), caveat))
+    signals += _supply_candidates(table, numbers)
     if speed is None:
         return signals
     top = float(np.nanmax(np.abs(speed)))
@@ -90,6 +109,25 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
         rank = 5
     shaft = MapSignal(SHAFT, (found.speed,), "1", "", 'hold = "linear"', top)
     return [*signals, Candidate("shaft", rank, table, (shaft,), caveat)]
+
+
+def _supply_candidates(table: Table, numbers: Mapping[str, Column]) -> Iterator[Candidate]:
+    """Yield voltage, current and electrical power of the supply of a thrust stand, as far as the table has them.
+
+    `numbers` has the values (n,) of the columns of numbers, by name. The name of a column must have the quantity as a
+    word, and no other unit. Of several columns of a quantity the first counts. A current of the motor is that of its
+    phases, and is left out: it is larger than the current of the supply.
+    """
+    for quantity in SUPPLY:
+        units = _UNITS_OF_SUPPLY[quantity]
+        others = _NOT_OF_SUPPLY | ({"motor"} if quantity == "current" else set())
+        for column in numbers:
+            words, unit = read_name(column).words, _column_unit(table, column)
+            if quantity in words and not words & others and unit in ("", *units):
+                caveat = "" if unit else f"{column!r} has no unit; {units[0]} is assumed"
+                signal = MapSignal(quantity, (column,), unit or units[0], "", 'role = "output"')
+                yield Candidate("supply", 0, table, (signal,), caveat)
+                break
 
 
 def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:

@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import group_held_signals, held_signals, is_sampled_slower
+from seatrial.daq.checks import group_held_signals, held_signals, is_sampled_slower, supply_line
 from seatrial.daq.errors import SeatrialError, UnknownName, first_names
-from seatrial.daq.importers.bench_table import COMMAND, bench_candidates
+from seatrial.daq.importers.bench_table import COMMAND, SHAFT, bench_candidates
 from seatrial.daq.importers.clocks import DATES, Clock, clock_of, has_named_times, row_seconds
 from seatrial.daq.importers.import_map import GEOGRAPHIC
 from seatrial.daq.importers.input_hold import input_hold
@@ -155,12 +155,32 @@ class _Sources(NamedTuple):
 
     @property
     def is_merged(self) -> bool:
-        """Whether the map needs [[file]] tables: a run has several files, or its folder has files of no run."""
-        used = {path for run in self.runs for path in run.paths}
-        folders = {run.source for run in self.runs if run.source.is_dir() and run.source not in run.paths}
+        """Whether the map needs [[file]] tables: a run has several files, or is alone in a folder with other tables."""
         return any(len(run.paths) > 1 for run in self.runs) or any(
-            not used.issuperset(tables_of_folder(folder)) for folder in folders
+            has_more and len(runs) == 1 for runs, has_more in self._runs_of_folders()
         )
+
+    @property
+    def to_import(self) -> list[Path]:
+        """The files and folders that an import by the map takes.
+
+        Of a folder with several runs of one file each, and with files of no run, they are the files of the runs.
+        """
+        given = list(self.paths)
+        for runs, has_more in self._runs_of_folders() if not self.is_merged else ():
+            if has_more:
+                at = given.index(runs[0].source)
+                given[at : at + 1] = [path for run in runs for path in run.paths]
+        return given
+
+    def _runs_of_folders(self) -> list[tuple[list[RunFiles], bool]]:
+        """Return the runs of each folder that was given, and whether the folder has tables of no run."""
+        used = {path for run in self.runs for path in run.paths}
+        of_folder: dict[Path, list[RunFiles]] = {}
+        for run in self.runs:
+            if run.source.is_dir() and run.source not in run.paths:
+                of_folder.setdefault(run.source, []).append(run)
+        return [(runs, not used.issuperset(tables_of_folder(folder))) for folder, runs in of_folder.items()]
 
 
 class _ReadFile(NamedTuple):
@@ -391,7 +411,10 @@ def _guess_of_run(run: RunFiles, sources: _Sources, full: Mapping[str, float] | 
         text += [line for table in file.tables for line in _length_lines(table, clocks[id(table)], main)]
         text += [f"# caveat: {line}" for line in _held_signal_comments(own, taken, clocks)]
         text += ["signal = [", *lines.of(file.tables), *_unrecognised_lines(unnamed), "]"]
-    text += [*([""] if sources.is_merged else []), *_boat_lines(taken), *([f"# no fit: {problem}"] if problem else [])]
+    # without a shaft speed the result is a static curve, which has no table of the power
+    used = supply_line(signal.name for signal in taken) if any(signal.name == SHAFT for signal in taken) else ""
+    text += [*([""] if sources.is_merged else []), *_boat_lines(taken), *([f"# {used}"] if used else [])]
+    text += [f"# no fit: {problem}"] if problem else []
     tops = {signal.name: signal.full for signal in taken if signal.full}
     names = [column for _, column in unrecognised]
     return Guess("\n".join(text).rstrip("\n") + "\n", problem, tops, names, run, sources.assumed)
@@ -420,12 +443,14 @@ def _head_lines(sources: _Sources, unused: Sequence[Path]) -> list[str]:
 
     ``unused`` are files without a signal, which the import refuses unless it gets their folder.
     """
-    usable = [path for path in sources.paths if path not in unused]
+    usable = [path for path in sources.to_import if path not in unused]
     guessed, more = _words_of_paths(sources.paths), len(sources.paths) - MOST_NAMED
     and_more = f" and {more} more" if more > 0 else ""
     # a command with some of the names would import these alone
     args, of_files = ("FILE...", f" of {guessed}{and_more}") if more > 0 else (guessed, "")
     to_import, of_all = (args, " with all of them") if more > 0 else (_words_of_paths(usable), "")
+    if more <= 0 and len(usable) > MOST_NAMED:
+        to_import, of_all = "FILE...", f" with the {len(usable)} files that are not left out"
     if more > 0 and len(usable) < len(sources.paths):
         of_all += f" except {first_names([path.name for path in unused], MOST_NAMED)}"
     origins = [run.source if run.source.is_dir() else None for run in sources.runs if len(run.paths) > 1]
@@ -673,7 +698,7 @@ def _scale_remark(signal: MapSignal, n_files: int) -> str:
     over = f" over its largest command, {signal.at_command:.3g}" if signal.at_command else ""
     return (
         f"  # scale: inferred, 1 / {signal.full:.6g}, the largest number of {of}{over}; better: 1 / (number at full "
-        "speed), the same on both sides and in all files"
+        "speed), the same on both sides, in all files and in the log of the bench"
     )
 
 

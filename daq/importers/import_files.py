@@ -11,7 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import too_many_rows_missing, unknown_names, unknown_names_text, unknown_times
+from seatrial.daq.checks import (
+    supply_line,
+    supply_signals,
+    too_many_rows_missing,
+    unknown_names,
+    unknown_names_text,
+    unknown_times,
+)
 from seatrial.daq.errors import SeatrialError, counted, first_names, warn
 from seatrial.daq.importers.boat_tables import BoatTable
 from seatrial.daq.importers.import_map import TIME_UNITS, ImportMap, Piece, Source, load_import_map
@@ -81,6 +88,11 @@ def import_files(
         warn(f"{map_path}: {unknown}")
     if assumed := assumed_roles_line(import_map):
         warn(f"{map_path}: {assumed}")
+    signals = [signal for source in import_map.sources for signal in source.signals]
+    of_supply = supply_signals(signal.name for signal in signals)
+    # A role in the map shows that its author knows of the signal, as a guessed map does.
+    if any(signal.is_role_assumed and signal.name in of_supply for signal in signals):
+        warn(f"{map_path}: {supply_line(signal.name for signal in signals)}")
     groups = _files_of_logs(import_map, files)
     pieces_of = [_pieces_of_run(import_map, stem, group) for stem, group in groups]
     if out is not None and (n_logs := sum(map(len, pieces_of))) > 1:

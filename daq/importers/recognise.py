@@ -270,6 +270,17 @@ _UNITS = {  # units as written in names of columns -> units of maps
     "pct": "%", "percent": "%", "per cent": "%",
 }  # fmt: skip
 _SUFFIX = re.compile(r"_(pct|percent|deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
+# Words of a name -> units that may end this name, in small letters: force_N, supply_voltage_V. Without such a word, a
+# letter at the end is rather an axis or a number than a unit.
+_UNITS_OF_WORDS = {
+    frozenset({"force", "thrust"}): {
+        **dict.fromkeys(("n", "newton", "newtons"), "N"),
+        **{unit: unit for unit in ("kgf", "kg", "gf", "g", "lbf", "lb")},
+    },
+    frozenset({"voltage", "vbat", "volts"}): {"v": "V", "volt": "V", "volts": "V", "mv": "mV"},
+    frozenset({"current", "amps"}): {"a": "A", "amp": "A", "amps": "A", "ampere": "A", "ma": "mA"},
+    frozenset({"power"}): {"w": "W", "watt": "W", "watts": "W"},
+}
 _BRACKET = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
 _LEFT, _RIGHT = {"left", "port", "l", "portside"}, {"right", "starboard", "stbd", "r", "sb"}
 SIDES = _LEFT | _RIGHT
@@ -354,11 +365,12 @@ def read_name(column: str) -> Name:
     -------
     Name
         The parts of the name. The unit is the text in brackets at the end, or else an ending such as _dps. The ending
-        is used, and removed from `plain`, only if the name with the ending has no meaning. Words are also separated
+        is used, and removed from `plain`, only if the name with the ending has no meaning. The endings of forces and
+        of electrical quantities (_N, _V, _A, _W) are units only if the name has the quantity. Words are also separated
         where a capital letter follows a small one. The unit "ms" of a velocity is m/s. A speed with the unit of a shaft
         speed has no meaning.
     """
-    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", column)
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])(?!(?<=_m)[AV]$)", "_", column)  # _mA and _mV are one word
     bracket = _BRACKET.search(column)
     behind = bracket.group(1).strip() if bracket else ""
     plain = re.sub(r"[^a-z0-9]+", "_", _BRACKET.sub("", spaced).lower()).strip("_")
@@ -367,6 +379,8 @@ def read_name(column: str) -> Name:
     if not meaning and (suffix := _SUFFIX.search(plain)) is not None:
         behind, plain = behind or suffix.group(1), plain[: suffix.start()]
         meaning = _meaning_of(plain)
+    elif not meaning and not behind and (named := _unit_of_quantity(plain)):
+        behind, plain = named, plain.rpartition("_")[0]
     unit = unit_of(behind)
     if unit == "ms" and _SI.get(meaning) == "m/s":  # m/s in a name that cannot contain a slash
         unit = "m/s"
@@ -374,6 +388,13 @@ def read_name(column: str) -> Name:
         meaning = ""
     fits = unit and (not meaning or UNITS.get(unit, ("",))[0] == _SI[meaning])
     return Name(meaning, unit if fits else "", words, plain, "" if fits or behind.isdecimal() else behind)
+
+
+def _unit_of_quantity(plain: str) -> str:
+    """Return the unit at the end of a name such as force_n, if the name has the quantity of this unit; else ""."""
+    before, _, last = plain.rpartition("_")
+    words = set(before.split("_"))
+    return next((units[last] for names, units in _UNITS_OF_WORDS.items() if names & words and last in units), "")
 
 
 def _meaning_of(plain: str) -> str:

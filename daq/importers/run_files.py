@@ -1,7 +1,9 @@
 """Runs of several files: which source files of an import belong to one run, and so become one log.
 
 Theory of operation. A folder that is no bag of ROS is the folder of a run. Files are of one kind if most of their
-columns have the same names. Files of different kinds belong to one run if their times overlap.
+columns have the same names. Files of different kinds belong to one run if their times overlap. Times that count from
+the start of each file always do. Of several files of a kind they do not show to which one a file of another kind
+belongs.
 """
 
 from __future__ import annotations
@@ -41,6 +43,11 @@ class FileOutline(NamedTuple):
     path: Path
     columns: frozenset[tuple[str, str]]
     span: tuple[float, float] | None
+
+    @property
+    def is_relative(self) -> bool:
+        """Whether the times count from the start of the file: they begin before they are longer than the file."""
+        return self.span is not None and 0.0 <= self.span[0] < self.span[1] - self.span[0]
 
 
 class RunFiles(NamedTuple):
@@ -245,10 +252,12 @@ def _runs_of_group(
             yield RunFiles(other.path.stem, (other.path,), (kinds.of(other),), other.path)
             continue
         why = "are unknown" if other.span is None else f"do not overlap with those of {first[0].path.name}"
-        assumed.append(
-            f"{other.path}: left out, as its times {why}; guess its map alone, or give the origin of its times in a "
-            "map by hand"
-        )
+        advice = "guess its map alone, or give the origin of its times in a map by hand"
+        if other.is_relative and len(first) > 1 and all(file.is_relative for file in first):
+            why = f"count from its start, as those of {first[0].path.name} and {len(first) - 1} more of other columns"
+            advice = "if it is a recording of its own, guess its map alone; if it is of one of these runs, move the "
+            advice += "files of each run to a folder of their own"
+        assumed.append(f"{other.path}: left out, as its times {why}; {advice}")
     assumed += [
         f"{first_names(pairs, MOST_NAMED)}: assumed to be of one run by {reason}, as further files overlap too"
         for reason, pairs in doubtful.items()
@@ -269,8 +278,11 @@ def _file_of_run(
 
     If several overlap with it, as with times that count from the start of each file, the k-th of as many files as runs
     (`n_runs`) is taken, or else the one with the longest overlap. Both files are then appended to `doubtful`, by the
-    reason.
+    reason. If such times are those of fewer files than runs, they are of no run: files of equal columns are runs, and
+    an overlap does not show to which of them another file belongs.
     """
+    if len(others) < n_runs and file.is_relative:
+        others = [other for other in others if not other.is_relative]
     overlaps = [_overlap(file, other) for other in others]
     good = [i for i, overlap in enumerate(overlaps) if overlap >= LEAST_OVERLAP]
     if not good:

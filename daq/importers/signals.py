@@ -14,6 +14,7 @@ from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.geometry import euler_angles, local_ned
 from seatrial.daq.importers.import_map import Signal, Source, TimeColumn
 from seatrial.daq.importers.missing_inputs import input_gaps
+from seatrial.daq.importers.recognise import read_name
 from seatrial.daq.importers.row_times import row_times
 from seatrial.daq.importers.table import Column, Table
 from seatrial.daq.importers.units import UNITS
@@ -23,6 +24,9 @@ TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 COARSE = 0.3  # share of rows with a repeated time; with more, the stamps are coarser than the rows
 # Times with two rows at least, and standard deviation of their intervals over the mean, of two sources in one table
 FEWEST_PAIRS, REGULAR = 5, 0.4
+# Units of a shaft speed -> rev/min
+PER_MINUTE = {"rev/min": 1.0, "rev/s": 60.0, "Hz": 60.0, "rad/s": 30.0 / np.pi}
+_OF_MESSAGES = {"data", "value"}  # fields of messages with a single number, which only the topic names
 _ATTITUDE = ("roll", "pitch", "yaw")
 
 
@@ -44,6 +48,8 @@ class SignalData:
         Whether it is an input that is unknown in some intervals of time; a NaN sample begins each interval.
     origin : tuple of float or None
         Latitude and longitude [deg] of the zero of a position that was computed from them; None for other signals.
+    rpm_max : float or None
+        Shaft speed [rev/min] at which a relative shaft speed is 1; None if the source does not show it.
     """
 
     signal: Signal
@@ -52,6 +58,7 @@ class SignalData:
     values: Column  # (n,)
     has_gaps: bool = False  # whether it is an input with unknown intervals; a NaN sample begins each
     origin: tuple[float, float] | None = None  # latitude and longitude of a position's zero, deg
+    rpm_max: float | None = None  # rev/min at which a relative shaft speed is 1
 
 
 @dataclass(frozen=True)
@@ -232,7 +239,8 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         signal, values = _in_ned(signal, values[rows] * factor)
         t_signal, values = _with_timeouts(t[rows], _wrapped_or_unwrapped(values, signal.angle), signal.timeout)
         origin = _origin_of_position(table, signal)
-        signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any()), origin))
+        full = _rpm_at_one(table, signal)
+        signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any()), origin, full))
     for places in of_table.values():
         for k, data, held_signal in _without_held([signals[k] for k in places], places):
             signals[k] = data
@@ -389,6 +397,23 @@ def _raw_values(table: Table, signal: Signal) -> Column:
 def _fix_rows(lat: Column, lon: Column) -> NDArray[np.intp]:
     """Return the rows with a fix, of latitudes and longitudes (n,) [deg]. Receivers without a fix write NaN or 0, 0."""
     return np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
+
+
+def _rpm_at_one(table: Table, signal: Signal) -> float | None:
+    """Return the shaft speed [rev/min] at which an imported relative shaft speed is 1; None if it is not known.
+
+    It follows from the scale of the signals ``n`` and ``n_NAME``, if the unit of the column is that of a shaft speed:
+    in the map, in the source or in the name of the column, as in ``rpm_left``.
+    """
+    is_speed = signal.name == "n" or (signal.name.startswith("n_") and not signal.name.startswith("n_cmd"))
+    if not is_speed or signal.make or signal.offset or signal.unit not in ("1", *PER_MINUTE):
+        return None
+    column = signal.columns[0]
+    stated = f" [{table.units[column]}]" if column in table.units else ""
+    name = read_name(column.rpartition(".")[2] + stated)
+    words = name.words | (read_name(signal.topic.rpartition("/")[2]).words if column in _OF_MESSAGES else frozenset())
+    unit = signal.unit if signal.unit in PER_MINUTE else name.unit or ("rev/min" if "rpm" in words else "")
+    return PER_MINUTE[unit] / abs(signal.scale) if unit in PER_MINUTE else None
 
 
 def _origin_of_position(table: Table, signal: Signal) -> tuple[float, float] | None:

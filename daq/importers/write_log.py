@@ -143,6 +143,8 @@ def _write_in_order(
         metadata = {"unit": data.unit, "hold": signal.hold, "role": signal.role}
         if data.origin is not None:
             metadata["origin"] = f"{data.origin[0]!r} {data.origin[1]!r}"
+        if data.rpm_max is not None:
+            metadata["rpm_max"] = f"{data.rpm_max:.9g}"
         topic = schema.topic(Scalar, signal.name)
         channels.append(writer.channel(topic, schema.TYPES[Scalar], metadata))
         layouts.append(cdr_layout(schema.TYPES[Scalar], signal.name.encode()))

@@ -652,6 +652,18 @@ class Log:
         """
         return self._channel_metadata(signal).get("role", "output")
 
+    def rpm_max(self, signal: str) -> float | None:
+        """Return the shaft speed [rev/min] at which an imported relative shaft speed is 1; None if it is unknown.
+
+        It is known if the import map scaled a column with the unit of a shaft speed. Raise SeatrialError if the log
+        lacks the signal.
+        """
+        try:
+            found = float(self._channel_metadata(signal).get("rpm_max", ""))
+        except ValueError:
+            return None
+        return found if 0.0 < found < np.inf else None
+
     def position_origin(self, signal: str) -> tuple[float, float] | None:
         """Return latitude and longitude [deg] of the zero of an imported position; None if they are unknown.
 

@@ -142,9 +142,17 @@ def check_shaft_scale(c: Channels) -> Iterator[Finding]:
 
 
 def _divide_scale(signal: str, factor: float) -> str:
-    """Return the advice to divide the scale of a shaft speed or command by a factor."""
-    of_rig = f", or multiply rpm_max in the rig file by {factor:.2f}" if is_of_thruster(signal, SHAFT_SPEED) else ""
-    return f"divide the scale of {signal} in the import map by {factor:.2f}{of_rig}"
+    """Return the advice to divide the scale of a shaft speed or command by a factor.
+
+    The factor is that of one log, with its noise. A bench result holds for the scale of its own log.
+    """
+    advice = f"divide the scale of {signal} in the import map by {factor:.2f}"
+    if is_of_thruster(signal, SHAFT_SPEED):
+        advice += (
+            f", or multiply rpm_max in the rig file by {factor:.2f} (for a fit with --thruster, take the scale or "
+        )
+        advice += "the rpm_max of the bench log instead)"
+    return advice
 
 
 def _straight_ratio(command: Channel, shaft: Channel) -> float | None:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from seatrial.daq.checks import supply_signals
 from seatrial.ident.data.record import ON_CHANGE, Channel, LeftOut
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
 from seatrial.ident.numerics import Array
@@ -53,15 +54,17 @@ def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
 
     Notes
     -----
-    Commands, shaft speeds, servo outputs and voltages of thrusters, transducers (NMEA XDR), and imported inputs do not
-    count as sensors. In a log without other signals, for example of a bench, these count after all, except commands and
-    other inputs that are held between their samples (`is_held`), since inputs without measurements give no information.
+    Commands, shaft speeds, servo outputs and voltages of thrusters, the supply of a bench, transducers (NMEA XDR), and
+    imported inputs do not count as sensors. In a log without other signals, for example of a bench, these count after
+    all, except commands and other inputs that are held between their samples (`is_held`), since inputs without
+    measurements give no information.
     """
     outputs = {name: c for name, c in channels.items() if not is_held(name, c)}
+    of_supply = supply_signals(channels)
     sensors = {
         name: c
         for name, c in outputs.items()
-        if not (is_of_thruster(name, *DRIVES) or name.startswith(TRANSDUCER) or c.hold)
+        if not (is_of_thruster(name, *DRIVES) or name in of_supply or name.startswith(TRANSDUCER) or c.hold)
     }
     times = [c.t for c in (sensors or outputs).values()]
     if not times:

@@ -527,6 +527,8 @@ class LoadedLog:
         Start and end [s] of each interval of time in which an input has no value.
     zero : float
         Time of the first sample of the log [s since 1970], from which all other times count. NaN if it is unknown.
+    rpm_max : Mapping
+        Shaft speed [rev/min] at which a relative shaft speed is 1, by the name of the signal, as far as it is known.
     """
 
     run: LogSegment
@@ -541,6 +543,7 @@ class LoadedLog:
     shift: tuple[float, float] = (0.0, 0.0)
     unknown: tuple[tuple[float, float], ...] = ()
     zero: float = nan
+    rpm_max: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def own_channels(self) -> Mapping[str, Channel]:
@@ -1026,15 +1029,36 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             "warnings": list(log.warnings),
         }
         holds = {n: c.hold or _hold_in_log(log, n) for n, c in found.items()}
+        full_speeds = _full_speeds(log)
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
         propulsion = propulsion_input(log, moved, holds)
         t_to = min(window.t_to, last) if window.t_to < inf else None
         run = LogSegment(path.stem, moved, window.t_from or None, t_to)
         gaps = tuple((float(a - start), float(b - start)) for a, b in unknown)
         loaded = LoadedLog(
-            run, about, holds, log.rig, propulsion, segments, log.vehicle, faults, unknown=gaps, zero=float(start)
+            run,
+            about,
+            holds,
+            log.rig,
+            propulsion,
+            segments,
+            log.vehicle,
+            faults,
+            unknown=gaps,
+            zero=float(start),
+            rpm_max=full_speeds,
         )
         return loaded if origin is None else _with_origin(loaded, origin)
+
+
+def _full_speeds(log: Log) -> dict[str, float]:
+    """Return the shaft speeds [rev/min] at which relative shaft speeds are 1, by the name of the signal.
+
+    They are those of the rig file, or of imported signals whose map scales a column in a unit of shaft speeds.
+    """
+    imported = {source: rpm for source in log.sources(Scalar) if (rpm := log.rpm_max(source)) is not None}
+    thrusters = log.rig.thrusters if log.rig else ()
+    return imported | {shaft_speed_of(t.name): t.rpm_max for t in thrusters if np.isfinite(t.rpm_max)}
 
 
 def _unknown_inputs(log: Log) -> list[tuple[float, float]]:

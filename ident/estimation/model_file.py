@@ -84,12 +84,15 @@ class FittedData:
         Origin of x and y in the logs; None if it is unknown. It is written only for a model with a fixed point.
     intervals
         Scales of the errors on the validation data; None if there were none.
+    rpm_max
+        Shaft speed [rev/min] at n = 1, of a thruster; None if it is unknown.
     """
 
     validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     rates: Mapping[str, float] = field(default_factory=dict)
     origin: FrameOrigin | None = None
     intervals: IntervalCalibration | None = None
+    rpm_max: float | None = None
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,8 @@ class SavedModel:
         Whether the fit converged. True in files of earlier versions, which do not say it.
     flags
         By parameter, what is wrong with its estimate; no entry for one in order.
+    rpm_max
+        Shaft speed [rev/min] at n = 1, of a thruster; None if it is unknown, as in files of earlier versions.
     """
 
     model: Model
@@ -156,6 +161,7 @@ class SavedModel:
     intervals: IntervalCalibration | None = None
     converged: bool = True
     flags: Mapping[str, str] = field(default_factory=dict)
+    rpm_max: float | None = None
 
     @property
     def python_files(self) -> tuple[Path, ...]:
@@ -245,7 +251,7 @@ def save_model(
         beside = _copy_beside_model(path, effects_file)
         document["effects_file"], document["effects_sha256"] = beside.name, file_digest(beside)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
-    if (scale := _scale_table(model, calibration)) is not None:
+    if (scale := _scale_table(model, calibration, data.rpm_max)) is not None:
         document["scale"] = scale
     if data.origin is not None and any(e.fixed_point for e in model.effects):
         document["origin"] = msgspec.structs.asdict(data.origin)
@@ -360,11 +366,11 @@ def _is_scaled_to_boat(effect: Effect, own: Mapping[str, Effect]) -> bool:
     return (effect.name in catalogue() and effect.name not in own) or effect.kind.nonparametric
 
 
-def _scale_table(model: Model, calibration: float | None) -> Any:
+def _scale_table(model: Model, calibration: float | None, rpm_max: float | None) -> Any:
     """Return the table ``scale`` of model.toml: provenance of the thrust and the thrusters' arms; warnings as comments.
 
-    For a bench model the thrust is measured, and the relative uncertainty ``calibration`` of the load cell is written
-    if it is known. None if the table would be empty.
+    For a bench model the thrust is measured. The relative uncertainty ``calibration`` of the load cell, and the shaft
+    speed ``rpm_max`` at n = 1 [rev/min], are written if they are known. None if the table would be empty.
     """
     scale, table = thrust_scale_of(model), tomlkit.table()
     for line in scale.caveats:
@@ -372,7 +378,8 @@ def _scale_table(model: Model, calibration: float | None) -> Any:
     facts = {"thrust": scale.thrust, "arm": scale.arm}
     table.update({name: str(origin) for name, origin in facts.items() if origin is not None})
     if model.kind is ModelKind.BENCH and "c1" in model.values:
-        table.update({"thrust": "measured"} | ({} if calibration is None else {"calibration": calibration}))
+        known = {"calibration": calibration, "rpm_max": None if rpm_max is None else float(f"{rpm_max:.9g}")}
+        table.update({"thrust": "measured"} | {name: value for name, value in known.items() if value is not None})
     return table if len(table) else None
 
 
@@ -574,8 +581,12 @@ def load_model(path: Path) -> SavedModel:
         names = tuple(str(n) for n in estimates.get("names", ()))
         correlation = np.asarray(estimates.get("matrix", ()), dtype=float).reshape(len(names), len(names))
         reml = bool(table.get("reml", False))
-        provenance, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
-        calibration = None if calibration is None else float(calibration)
+        provenance, scale = dict(table.get("provenance", {})), table.get("scale", {})
+        calibration, rpm_max = (
+            None if (z := scale.get(key)) is None else float(z) for key in ("calibration", "rpm_max")
+        )
+        if rpm_max is not None and not 0.0 < rpm_max < np.inf:
+            raise ValueError(f"scale: rpm_max = {rpm_max:g}; it must be finite and above 0 rev/min")
         refits = _refits_from_tables(table.get("refit", ()))
         intervals = _intervals_from_table(table.get("intervals"))
         converged = bool(table.get("converged", True))
@@ -603,6 +614,7 @@ def load_model(path: Path) -> SavedModel:
         intervals,
         converged,
         flags,
+        rpm_max,
     )
 
 

@@ -151,6 +151,7 @@ WarningCode = Literal[
     "compared-samples-limited",
     "effect-estimated-on-compared-log",
     "command-scale",
+    "full-speed-differs",
     "boat-moves",
     "dead-zone-contradicted",
     "structure-unfit",

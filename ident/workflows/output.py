@@ -18,7 +18,7 @@ from seatrial.ident.estimation import (
     save_model,
 )
 from seatrial.ident.report import write_report
-from seatrial.ident.results import CalibrationRow, FitResult, write_result
+from seatrial.ident.results import CalibrationRow, FitResult, ThrusterResult, write_result
 from seatrial.ident.validation import shown_inputs
 
 
@@ -65,13 +65,18 @@ def write_model(
     save_model(
         out / "model.toml",
         fit,
-        data=FittedData(ranges, rates or {}, origin, intervals_of(result)),
+        data=FittedData(ranges, rates or {}, origin, intervals_of(result), _full_speed_of(result)),
         provenance=made,
         effects_file=effects_file,
         calibration=calibration,
         refits=refits,
     )
     write_result(result, out / "result.json")
+
+
+def _full_speed_of(result: FitResult) -> float | None:
+    """Return the shaft speed [rev/min] at n = 1 in the result of a thruster; None if unknown, and for other results."""
+    return result.steady.rpm_max if isinstance(result, ThrusterResult) and result.steady is not None else None
 
 
 def write_page(out: Path, result: FitResult) -> None:

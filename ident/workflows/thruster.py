@@ -299,7 +299,8 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
 
     steady.csv has a row for each steady command, with empty cells for what was not measured. lookup.csv has the command
     and the shaft speed for evenly spaced forces, by the fitted curve, and 1 as ``extrapolated`` where no such speed was
-    measured; inside the dead zone the command is zero.
+    measured; inside the dead zone the command is zero. Both have the shaft speed in rev/min if the logs show which
+    speed is full.
     ardupilot.param has MOT_THST_EXPO of the steady forward commands; it is not written if this number is unknown.
     Existing files are replaced.
 
@@ -313,12 +314,11 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
     table = result.steady
     if table is None:
         return
-    full = np.nan if table.rpm_max is None else table.rpm_max
     per_watt = newtons_per_watt(table.n, table.force, table.power)
     columns = {
         "command": table.command,
         "n": table.n,
-        "rpm": table.n * full,
+        **_in_rpm(table.n, table.rpm_max),
         "force_N": table.force,
         "force_se_N": table.force_se,
         "voltage_V": table.voltage,
@@ -331,7 +331,7 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
     write_output(out / "steady.csv", _as_csv(columns))
     if result.static is None:
         return
-    write_output(out / "lookup.csv", _as_csv(_lookup(result, full)))
+    write_output(out / "lookup.csv", _as_csv(_lookup(result, table.rpm_max)))
     if table.expo is not None:
         write_output(out / "ardupilot.param", _ardupilot_parameters(result, table, table.expo))
 
@@ -360,12 +360,17 @@ def _ardupilot_parameters(result: ThrusterResult, table: SteadyBench, expo: floa
     return "\n".join([*lines, f"MOT_THST_EXPO,{expo:.3f}"]) + "\n"
 
 
-def _lookup(result: ThrusterResult, full: float) -> dict[str, Array]:
+def _in_rpm(n: Array, full: float | None) -> dict[str, Array]:
+    """Return the column ``rpm`` of relative shaft speeds; without the full shaft speed [rev/min], no column."""
+    return {} if full is None else {"rpm": n * full}
+
+
+def _lookup(result: ThrusterResult, full: float | None) -> dict[str, Array]:
     """Return command and shaft speed for zero force and evenly spaced forces [N] over the range of the fitted curve.
 
-    ``full``: full shaft speed [rev/min], NaN if it is unknown. Where the fitted curve is not monotone, the running
-    maximum of the force counts. A command inside the dead zone has no thrust and is zero. Column ``extrapolated`` is
-    1 for a shaft speed beyond those that were measured, and 0 elsewhere.
+    ``full``: full shaft speed [rev/min]; None: unknown, and the column ``rpm`` is left out. Where the fitted curve is
+    not monotone, the running maximum of the force counts. A command inside the dead zone has no thrust and is zero.
+    Column ``extrapolated`` is 1 for a shaft speed beyond those that were measured, and 0 elsewhere.
     """
     assert result.static is not None
     n, force = result.static.n_model, np.maximum.accumulate(result.static.force_model)
@@ -377,7 +382,8 @@ def _lookup(result: ThrusterResult, full: float) -> dict[str, Array]:
     measured = [trace.measured for trace in result.traces if trace.channel == "n"]
     reach = largest_speeds(np.concatenate([np.empty(0), *measured]))
     beyond = (command > reach[1.0] + SPEED_STEP) | (command < -reach[-1.0] - SPEED_STEP)
-    return {"force_N": asked, "command": command, "rpm": command * full, "extrapolated": beyond.astype(float)}
+    columns = {"force_N": asked, "command": command, **_in_rpm(command, full)}
+    return {**columns, "extrapolated": beyond.astype(float)}
 
 
 def _as_csv(columns: Mapping[str, Array]) -> str:
@@ -411,12 +417,12 @@ def _steady_table(
     if not rows:
         return None
     columns = {key: np.array([getattr(row, key) for row in rows]) for key in SteadyRow.__dataclass_fields__}
-    thrusters = [t for x in loaded if x.rig for t in x.rig.thrusters if t.name == name and np.isfinite(t.rpm_max)]
+    full = {x.rpm_max.get(shaft_speed_of(name)) for x in loaded}
     expo = thrust_expo(columns["command"], columns["force"])
     return SteadyBench(
         log=tuple(names),
         power_formula=formula,
-        rpm_max=thrusters[0].rpm_max if thrusters else None,
+        rpm_max=full.pop() if len(full) == 1 else None,  # logs with different full speeds have no common one
         expo=expo if np.isfinite(expo) else None,
         **columns,
     )

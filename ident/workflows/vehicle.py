@@ -39,6 +39,7 @@ from seatrial.ident.results import FitContext, ResultWarning, VehicleResult, ant
 from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import check_first, require_thrust_and_length
 from seatrial.ident.workflows.dynamics import dynamics_of
+from seatrial.ident.workflows.full_speeds import full_speed_note, full_speed_warning
 from seatrial.ident.workflows.model_inputs import unused_lines
 from seatrial.ident.workflows.output import sensor_rates, validity, write_model, write_page
 from seatrial.ident.workflows.vehicle_model import VehicleProblem, VehicleRequest, vehicle_problem
@@ -140,6 +141,10 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
             problem.model, problem.segments, request.estimation, problem.ahead, rate=request.rate, reporter=reporter
         )
         problem = replace(problem, model=scaled, notes=[*problem.notes, note])
+    of_fit = [*loaded, *validation_logs]
+    if note := full_speed_note(request.thruster, problem.model, of_fit):
+        problem = replace(problem, notes=[*problem.notes, note])
+    other_speed = full_speed_warning(request.thruster, problem.model, of_fit)
     for line in [*problem.notes, *unused_lines(problem.unused)]:
         reporter.warning(line)
     tested = _assess(request, problem, reporter)
@@ -179,7 +184,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
             parameters_of_effects(problem.model, request.effects),
         ),
     )
-    more = [*filter(None, [_command_scale_warning(fitted.fit.model, loaded)])]
+    more = [*filter(None, [other_speed, _command_scale_warning(fitted.fit.model, loaded)])]
     if tested is None and request.estimation.method == "prediction-error":
         # A fit with score tests has an estimate of the error of the antenna, if the data show one.
         more += antenna_warning(fitted.model, antenna_error(fitted))

@@ -423,7 +423,8 @@ def _warn_of_guesses(guesses: Sequence[Guess], given: str) -> None:
     guessed, left_out = dict[Any, list[tuple[list[Path], str]]](), dict[Any, list[tuple[list[Path], str]]]()
     for guess in guesses:
         source = guess.run.source
-        sources = [source] if source.is_dir() else list(guess.run.paths)
+        is_alone = sum(other.run.source == source for other in guesses) == 1  # not one of several runs in a folder
+        sources = [source] if source.is_dir() and is_alone else list(guess.run.paths)
         found = re.findall(r"# caveat: (.+)", guess.text)
         found += [f"not measured: {text}" for text in re.findall(r"# not measured: (.+)", guess.text)]
         caveats = "; ".join(dict.fromkeys(found))

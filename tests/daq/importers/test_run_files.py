@@ -224,6 +224,57 @@ def test_a_table_that_is_no_log_names_the_folder_of_its_run(tmp_path: Path) -> N
         assert run_folder_of(mixed / "gnss.csv") is None
 
 
+def runs_and_a_pool(folder: Path, start: float = 0.5) -> list[Path]:
+    """Write three runs of equal columns, and the shorter log of a thruster in a pool. All times begin at the start."""
+    for k, n in enumerate((90, 80, 70), 1):
+        t = 0.1 * np.arange(n)
+        columns = {"yaw_deg": 9.0 * np.sin(t), "rpm_left": 900.0 * np.sin(t), "rpm_right": 950.0 * np.cos(t)}
+        table(folder / f"run{k}.csv", start + t, columns)
+    t = 0.05 * np.arange(100)
+    table(folder / "pool.csv", t, {"command_pct": 100.0 * np.sin(t), "rpm": 900.0 * np.sin(t), "force_N": np.sin(t)})
+    return sorted(folder.glob("run*.csv"))
+
+
+def test_runs_that_begin_at_zero_are_no_run_with_a_table_of_other_columns(tmp_path: Path) -> None:
+    """Files of equal columns are runs. Times from the start do not show that another table was recorded with them."""
+    files = runs_and_a_pool(tmp_path / "data")
+    for file in (*files, tmp_path / "data/pool.csv"):
+        assert run_folder_of(file) is None
+        with pytest.raises(SeatrialError, match=rf"then `seatrial import map\.toml [^ ]*{file.name}`$"):
+            require_logs([file])
+    # a single table of each kind: it is of the same run if it begins and ends together with the other one
+    for file in files[1:]:
+        file.unlink()
+    assert run_folder_of(files[0]) is None
+    together = run_of_files(tmp_path / "together", 0.0)
+    assert run_folder_of(together / "gnss.csv") == together
+    run_of_files(together, 0.0, prefix="run2_")
+    assert run_folder_of(together / "gnss.csv") == together
+
+
+def test_the_map_of_a_folder_of_runs_and_a_table_of_other_columns(tmp_path: Path) -> None:
+    files = runs_and_a_pool(tmp_path / "data")
+    arguments = ["--guess", str(tmp_path / "data"), "-o", str(tmp_path / "map.toml")]
+    found = CliRunner().invoke(cli.import_, arguments)
+    assert found.exit_code == 0, found.output
+    left_out = "pool.csv: left out, as its times count from its start, as those of run1.csv and 2 more of other columns"
+    assert f"{left_out}; if it is a recording of its own, guess its map alone; " in found.stderr
+    text = (tmp_path / "map.toml").read_text()
+    content = tomllib.loads(text)
+    assert [signal["name"] for signal in content["signal"]] == ["psi", "n_left", "n_right"]
+    assert "then run `seatrial import MAP run1.csv run2.csv run3.csv`.\n" in text
+    logs = import_files(tmp_path / "map.toml", files, out_dir=tmp_path / "logs")
+    with pytest.warns(SeatrialWarning) as warned:
+        logs += st.import_log(tmp_path / "data", out_dir=tmp_path / "guessed")
+    texts = [str(warning.message) for warning in warned]
+    assert left_out in texts[0]
+    assert texts[1].startswith("run1.csv, run2.csv, run3.csv: without an import map, this was inferred")
+    assert [log.name for log in logs] == 2 * ["run1.mcap", "run2.mcap", "run3.mcap"]
+    for k in (4, 5):
+        (tmp_path / "data" / f"run{k}.csv").write_bytes(files[0].read_bytes())
+    assert "then run `seatrial import MAP FILE...` with the 5 files" in guess_maps([tmp_path / "data"])[0].text
+
+
 @pytest.mark.parametrize("start", [0.0, START])
 def test_several_runs_in_one_folder(tmp_path: Path, start: float) -> None:
     """With times since 1970 they decide which files belong together, with relative times the order of the files."""

@@ -147,6 +147,8 @@ def test_silent_times_are_times_without_any_motion_sensor() -> None:
     assert silent_times({"n_left": steady, "x": outage}) == [(99.0, 900.0)]
     assert silent_times({"xdr_OIL": steady, "x": outage}) == [(99.0, 900.0)]
     assert silent_times({"n_cmd_left": steady, "n_left": outage}) == [(99.0, 900.0)]
+    bench = {"force": outage, "n_cmd_left": outage, "n_left": outage}
+    assert silent_times(bench | {"voltage": steady, "current_left": steady}) == [(99.0, 900.0)]
     assert silent_times({"x": Channel(np.arange(0.0, 90_000.0, 300.0), np.zeros(300))}) == []
     assert silent_times({"n_cmd_left": steady}) == []
     assert silent_times({}) == []
