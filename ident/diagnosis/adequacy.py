@@ -131,8 +131,10 @@ def assess_alternatives(
         others += [
             name for name in search_round.chosen.effect.alternatives if name in open_names and name not in others
         ]
-        texts, rival = tuple(reason.text for reason in reasons), reasons[0].effect if reasons else ""
-        found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", texts, tuple(others), rival))
+        texts, competitor = tuple(reason.text for reason in reasons), reasons[0].effect if reasons else ""
+        found.append(
+            EffectAttribution(name, "ambiguous" if reasons else "identified", texts, tuple(others), competitor)
+        )
     return tuple(found)
 
 
@@ -688,15 +690,6 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
     """
-    if not diagnosis.effects:
-        closest = [r.refits[0].effect for r in diagnosis.rounds if r.refits]
-        lines = [
-            f"To test whether {e.title} is present, which came closest in a round of the search and was not added: "
-            f"{e.experiment}."
-            for e in closest
-            if e.experiment
-        ]
-        return " ".join(dict.fromkeys(lines)) or None  # an effect can come closest in several rounds
     titles, kinds = _titles_and_kinds(diagnosis)
     chosen = {r.chosen.effect.name: r.chosen.effect for r in diagnosis.rounds if r.chosen is not None}
     lines = []
@@ -720,7 +713,15 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
             lines.append(
                 f"To find what the curve {effect.name.removeprefix('unknown ')} stands for: {effect.experiment}."
             )
-    return " ".join(lines) or None
+    named = {attribution.effect for attribution in diagnosis.attributions}
+    for search_round in diagnosis.rounds if not diagnosis.effects else ():
+        added = search_round.chosen is not None and search_round.chosen.effect.name in named
+        if not added and search_round.refits and (e := search_round.refits[0].effect).experiment:
+            lines.append(
+                f"To test whether {e.title} is present, which came closest in a round of the search and was not "
+                f"added: {e.experiment}."
+            )
+    return " ".join(dict.fromkeys(lines)) or None  # an effect can come closest in several rounds
 
 
 def competitor_of(diagnosis: Diagnosis, attribution: EffectAttribution) -> str | None:
@@ -732,7 +733,7 @@ def competitor_of(diagnosis: Diagnosis, attribution: EffectAttribution) -> str |
     score test still passes.
     """
     titles, kinds = _titles_and_kinds(diagnosis)
-    named = [attribution.rival] if kinds.get(attribution.rival) is EffectKind.CATALOGUE else []
+    named = [attribution.competitor] if kinds.get(attribution.competitor) is EffectKind.CATALOGUE else []
     known = [name for name in (*named, *attribution.not_excluded) if name in titles and name != attribution.effect]
     return next((name for name in known if not is_special_case(attribution.effect, name)), None)
 

@@ -305,7 +305,7 @@ class EffectAttribution:
         Names of the competing models that the data do not exclude, closest first. Declared alternatives
         (`Effect.alternatives`) follow that could not be tested, that the estimated parameters of the model explain, so
         that their score tests have no power, or whose score tests still pass beside several added effects.
-    rival
+    competitor
         Name of the effect or curve that the first of the ``reasons`` is about; empty if it is about none.
     """
 
@@ -313,7 +313,7 @@ class EffectAttribution:
     attribution: Attribution
     reasons: tuple[str, ...] = ()
     not_excluded: tuple[str, ...] = ()
-    rival: str = ""
+    competitor: str = ""
 
 
 @dataclass(frozen=True)

@@ -682,7 +682,7 @@ def _experiment_sentence(diagnosis: Diagnosis, doubted: EffectAttribution) -> st
     """
     experiment = "The recommended experiment (Next experiment, in the report)"
     competitor = competitor_of(diagnosis, doubted)
-    if competitor is None or doubted.rival in ("", competitor):
+    if competitor is None or doubted.competitor in ("", competitor):
         return f"{experiment} may decide this."
     titles = {q.effect.name: q.effect.title for r in diagnosis.rounds for q in r.refits}
     title = titles.get(competitor) or candidate_title(competitor)

@@ -275,7 +275,7 @@ def test_competing_models_with_a_close_criterion_are_listed() -> None:
     assert found.attribution == "ambiguous"
     assert found.not_excluded == ("filter-lag", "lag")
     assert found.reasons == ("filter lag explains the data nearly as well (its ΔBIC is 5 worse)",)
-    assert found.rival == "filter-lag"
+    assert found.competitor == "filter-lag"
 
 
 def test_a_competing_model_close_in_its_share_is_compared_by_its_share() -> None:
@@ -524,7 +524,7 @@ def test_remaining_score_is_described_in_words(name: str, description: str) -> N
     assert found.reasons[0].startswith(
         f"even with it in the model, the score tests still find {description} (expected ΔBIC "
     )
-    assert found.rival == name
+    assert found.competitor == name
 
 
 def test_two_effects_without_remaining_scores_are_both_identified() -> None:

@@ -74,8 +74,8 @@ def test_the_experiment_is_for_the_pair_of_the_first_doubt() -> None:
     assert text.startswith(f"To distinguish {known['wind'].title} from lift: {known['wind'].experiment}.")
     assert text.index("--discriminate wind,lift`") < text.index("--discriminate cubic-drag,filter-lag`")
     # No mission distinguishes an effect from a curve, or from a special case of it.
-    assert competitor_of(found, replace(doubted, rival="X(u)")) == "current-drift"
-    assert competitor_of(found, replace(doubted, rival="mooring")) == "current-drift"  # not fitted
+    assert competitor_of(found, replace(doubted, competitor="X(u)")) == "current-drift"
+    assert competitor_of(found, replace(doubted, competitor="mooring")) == "current-drift"  # not fitted
 
 
 def of(**changed: Any) -> Diagnosis:
@@ -85,7 +85,7 @@ def of(**changed: Any) -> Diagnosis:
 
 
 def judged(attribution: str) -> SimpleNamespace:
-    return SimpleNamespace(effect="wind", attribution=attribution, not_excluded=(), rival="")
+    return SimpleNamespace(effect="wind", attribution=attribution, not_excluded=(), competitor="")
 
 
 def blank_score(name: str) -> SimpleNamespace:

@@ -407,7 +407,7 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     other = "The recommended experiment (Next experiment, in the report) distinguishes it from steady wind, which the"
     named = replace(found, before=blank(model=horizontal_model()))
     assert diagnosis_caveat(replace(named, attributions=(by_curve,))) == f"{doubt} {other} data do not exclude either."
-    of_wind = replace(by_curve, rival="wind")
+    of_wind = replace(by_curve, competitor="wind")
     assert diagnosis_caveat(replace(named, attributions=(of_wind,))) == f"{doubt} {next_step}"
     both = (*doubted.attributions, EffectAttribution("wind", "ambiguous", ("steady-pull is as good",)))
     assert diagnosis_caveat(replace(doubted, attributions=both)) == (

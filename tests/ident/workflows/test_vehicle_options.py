@@ -160,7 +160,7 @@ def test_chosen_effects_without_score_tests_name_the_errors_that_they_lack(logs:
     how: dict[str, Any] = {"fixed": {"c1": 40.05, "c2": 1.11}, "score_tests": False, "reml": False, "mean_order": 1}
     chosen = st.fit(logs[0], effects=["cubic-drag"], **how)
     (note,) = (n for n in chosen.notes if n.startswith(ONLY_CHOSEN))
-    assert note.endswith("add the effects to the model of a tested fit: model FIT/model.toml.")
+    assert note.endswith("add the effects to the model of a tested fit: model='FIT/model.toml'.")
     console = Console(record=True, width=2000)
     print_result(chosen.result, console)
     assert ONLY_CHOSEN in console.export_text()
