@@ -82,7 +82,9 @@ class LogSummary(Part, frozen=True, kw_only=True):
     """
 
     path: Annotated[str, Meta(description="file name, with the time window if only a part was used")]
-    sha256: Annotated[str, Meta(description="SHA-256 of the file; empty if a time window was given")]
+    sha256: Annotated[
+        str, Meta(description="SHA-256 of the file, also if only a part was used; empty if it is unknown")
+    ]
     role: Annotated[str, Meta(description="`estimation`, `validation`, `navigated`, `judged` or `compared`")]
     name: Annotated[str, Meta(description="name of the log, which its record has too")]
     duration: Annotated[float, Meta(description="[s]")]

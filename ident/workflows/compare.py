@@ -79,6 +79,7 @@ from seatrial.ident.workflows.comparison_errors import (
 from seatrial.ident.workflows.comparison_likelihood import (
     information_criteria,
     log_score,
+    other_parts,
     used_logs,
     why_not_comparable,
 )
@@ -486,6 +487,7 @@ def _result(
             *events,
             *_runaway_notes(compared, simulated, horizons[0]),
             *_notes_on_logs(models),
+            *_notes_on_parts(compared, letters, loaded),
             *short,
             *([chance] if verdicts else []),
         ),
@@ -663,6 +665,19 @@ def _notes_on_logs(models: Sequence[ComparedModel]) -> list[str]:
     own = [f"({m.label}) {', '.join(m.per_log)}" if len(models) > 1 else ", ".join(m.per_log) for m in models
            if m.per_log]  # fmt: skip
     return [f"Estimated anew for each {'compared ' * (len(models) > 1)}log: {'; '.join(own)}."] if own else []
+
+
+def _notes_on_parts(
+    compared: Sequence[_Candidate], letters: Sequence[str], loaded: Sequence[LoadedLog]
+) -> Iterator[str]:
+    """Yield a note for each compared log of which a model was fitted to another part, without an overlap."""
+    for letter, c in zip(letters, compared, strict=True):
+        subject = f"({letter})" if len(compared) > 1 else "The model"
+        for name, interval in other_parts(c.saved, loaded).items():
+            yield (
+                f"{subject} was fitted to another part of {name} ({interval}) than the compared one. Wind, current and "
+                "load were probably the same: the errors on another day may be larger."
+            )
 
 
 def _runaway_notes(compared: Sequence[_Candidate], simulated: float, horizon: float) -> list[str]:
