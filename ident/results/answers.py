@@ -1238,7 +1238,9 @@ def thruster_answer(
     ends, lost = [], []
     for direction, word in ((1.0, "forward"), (-1.0, "in reverse")):
         force, error = (float(z[0]) for z in steady_thrust(fitted, np.array([direction])))
-        if direction in directions and is_undetermined(force, error):
+        if error == 0.0:  # both coefficients are fixed
+            ends.append(f"{direction * force:.4g} N {word}, as given,")
+        elif direction in directions and is_undetermined(force, error):
             lost.append(f"{word}: not determined")
         elif direction in directions and math.isfinite(error):
             ends.append(f"{plus_minus(direction * force, math.hypot(error, (calibration or 0.0) * force))} N {word}")

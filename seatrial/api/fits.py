@@ -761,7 +761,7 @@ def vehicle_request(
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
-    _check_parameters(given)
+    check_parameters(given)
     if not isinstance(model, str | Path):
         raise SeatrialError(
             f"model: {shortened(model)} is no name of a model; give a name, such as 'horizontal:command', the path of "
@@ -776,7 +776,7 @@ def vehicle_request(
     return VehicleRequest(logs, validation, Path(), how, source, window=window, **given), progress
 
 
-def _check_parameters(given: Mapping[str, Any]) -> None:
+def check_parameters(given: Mapping[str, Any]) -> None:
     """Check the options with values of parameters (``fixed``, ``initial``, ``priors``), if they are in ``given``.
 
     Raises
@@ -845,7 +845,7 @@ def diagnose(
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
     given = known_options(options, DiagnosisOptions)
-    _check_parameters(given)
+    check_parameters(given)
     messages = Messages(given.pop("progress", None))
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:
