@@ -303,6 +303,17 @@ def _whiteness_sentence(
     return f"{end}{how}."
 
 
+def coloured_sentence(
+    residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
+) -> str:
+    """Return the sentence on residuals that are not white or are correlated with the inputs; "" if they pass the tests.
+
+    The tests and ``searchable`` are those of the answer of a vehicle fit.
+    """
+    coloured, significant = _failed_tests(residuals, cross)
+    return _whiteness_sentence((), residuals, cross, searchable) if coloured or significant else ""
+
+
 def _failed_tests(
     residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow]
 ) -> tuple[bool, list[CrossCorrelationRow]]:
@@ -888,6 +899,19 @@ def faults_first(made: Provenance) -> str:
         f"The logs have faults that can make this result meaningless ({'; '.join(faults)}; the warnings have their "
         "texts). Correct them and fit again. "
     ) * bool(faults)
+
+
+def late_command_sentence(made: Provenance) -> str:
+    """Return the beginning of the answer of a thruster whose logs store the command one row late; "" for other logs.
+
+    Delay and lag of the shaft, and effects like them, then describe the time of the command. The beginning ends with a
+    space. ``made`` has the findings of the checks of each log.
+    """
+    late = [log.path for log in made.logs if any(f.code == "command-one-row-late" for f in log.findings)]
+    return (
+        f"In {_first_names(late, MOST_NAMES)} command and shaft speed are probably one row apart (see the warning): "
+        "correct this first, because delay and lag of the shaft, and effects like them, have no meaning before. "
+    ) * bool(late)
 
 
 def check_warnings(made: Provenance, besides: Collection[str] = ()) -> list[ResultWarning]:

@@ -44,6 +44,7 @@ from seatrial.ident.results.answers import (
     failed_run_warnings,
     faults_first,
     frames_assumed,
+    late_command_sentence,
     late_sensor_warnings,
     mass_notes,
     not_converged,
@@ -159,10 +160,11 @@ def diagnosis_result(
     course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
+    late = late_command_sentence(made) if diagnosis.after.fit.model.kind is ModelKind.BENCH else ""
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
-        + (failed or " ".join(filter(None, [answer, worse, straight_sentence(dynamics), course, wind]))),
+        + (failed or late + " ".join(filter(None, [answer, worse, straight_sentence(dynamics), course, wind]))),
         caveat=None if failed else diagnosis_caveat(diagnosis),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
@@ -393,10 +395,15 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
     return (
         f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
-        f"(p = {strongest.p:.1g}), but no candidate explains the residuals: {why}. {_nearest_effects(last)}A score "
-        "test can find what the tests of whiteness and of the correlations with the inputs miss. Look at the residuals "
-        "in the report, or record longer runs."
+        f"({_p_in_words(strongest.p)}), but no candidate explains the residuals: {why}. {_nearest_effects(last)}A "
+        "score test can find what the tests of whiteness and of the correlations with the inputs miss. Look at the "
+        "residuals in the report, or record longer runs."
     )
+
+
+def _p_in_words(p: float) -> str:
+    """Return a p value for a sentence: ``p = 0.004``, or ``p < 0.001``."""
+    return f"p = {p:.1g}" if p >= 0.001 else "p < 0.001"
 
 
 def _nearest_effects(search_round: Round) -> str:

@@ -138,6 +138,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
             found = [
                 *_flags(flags.get(name), p, fit.estimate(p.name, i), share, reported),
                 *_beside_inertial_curve(p, fit.model.effects),
+                *_without_statement(p, fit, i),
             ]
             rows.append(
                 ParameterRow(
@@ -244,6 +245,17 @@ def _has_lasting_error(model: Model, noise: str) -> bool:
     if ESTIMATOR_ERROR not in {e.name for e in model.effects}:
         return False
     return any(o.noise == noise for s in model.sensors if s.name in SENSORS_WITH_CORRELATED_ERRORS for o in s.outputs)
+
+
+def _without_statement(p: Parameter, fit: Fit, record: int) -> list[Flag]:
+    """Return a flag if the standard error of a positive parameter of a thruster is larger than its value.
+
+    ``record``: index of the record of a per-record parameter. A vehicle fit has flags of its own for this.
+    """
+    value, error = fit.estimate(p.name, record)
+    if fit.model.kind is not ModelKind.BENCH or p.transform != "log" or not error > abs(value):
+        return []
+    return [Flag("not determined", "not determined: its standard error is larger than its value")]
 
 
 def _beside_inertial_curve(p: Parameter, effects: Iterable[Effect]) -> list[Flag]:
