@@ -30,6 +30,8 @@ from seatrial.ident.estimation import (
     PriorDistance,
     Role,
     ThrustScale,
+    agrees_with_bench,
+    exceeded_prior,
     least_yaw_inertia,
     prior_distances,
     thrust_scale_of,
@@ -603,6 +605,7 @@ def prior_notes(fit: Fit) -> list[str]:
     """Return a note for each given prior that the data contradict only if no effect is missing from the model.
 
     Priors that the data contradict in any case have a warning (`estimation_warnings`). Priors of the noise have none.
+    Another note names the parameters that keep their value of a bench test, but with a larger standard error.
     """
     notes = []
     for away in prior_distances(fit):
@@ -615,6 +618,14 @@ def prior_notes(fit: Fit) -> list[str]:
             f"given. {_data_alone(away)}: {abs(away.plain_distance):.1f} standard deviations of both away if no effect "
             f"is missing from the model, and {abs(away.distance):.1f} if the effects that may be missing count. Check "
             "the given value. If it is right, an effect is missing that acts like a change of it."
+        )
+    estimated = ((p, *fit.estimate(p.name)) for p in fit.model.parameters if p.free and not p.per_record)
+    wider = [p.name for p, x, se in estimated if agrees_with_bench(p, x) and exceeded_prior(p, x, se) is not None]
+    if wider:
+        errors, have = ("error", "is") if len(wider) == 1 else ("errors", "are")
+        notes.append(
+            f"The standard {errors} of {' and '.join(wider)} {have} larger than on the bench: what the model does not "
+            "explain is included."
         )
     return notes
 

@@ -30,7 +30,16 @@ from seatrial.ident.diagnosis import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, Role
-from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, ParameterRole
+from seatrial.ident.model import (
+    ESTIMATED_CURVE,
+    GIVEN_CURVE,
+    Effect,
+    EffectKind,
+    Model,
+    ModelKind,
+    ParameterOrigin,
+    ParameterRole,
+)
 from seatrial.ident.models import effect_for, force_power
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results import parts
@@ -608,6 +617,8 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         words = effect.in_words_of_data(_estimates(fitted), _last_inputs(fitted))
     elif effect.in_words is not None:
         words = effect.in_words(_estimates(fitted))
+    if _is_curve_given(fitted.fit.model):
+        words = words.replace(ESTIMATED_CURVE, GIVEN_CURVE)
     if not (effect.parameters and fitted.fit.flags):
         return words
     stuck = [_named_value(p) for p in effect_parameter_rows(effect, fitted) if p.at_bound]
@@ -615,6 +626,13 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         return words
     limit = "is at the limit of this parameter" if len(stuck) == 1 else "are at the limits of these parameters"
     return "; ".join(filter(None, [words, f"{' and '.join(stuck)} {limit}, and so no estimate"]))
+
+
+def _is_curve_given(model: Model) -> bool:
+    """Return whether the thrust curve of a model, c1 and c2, is from a bench test or from the user."""
+    curve = [model.parameter(name) for name in ("c1", "c2") if name in model.values]
+    given = ParameterOrigin.MEASURED, ParameterOrigin.PRIOR, ParameterOrigin.GIVEN
+    return bool(curve) and all(p.provenance in given for p in curve)
 
 
 def _estimates(fitted: FittedModel) -> dict[str, tuple[float, float]]:

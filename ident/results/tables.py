@@ -24,6 +24,7 @@ from seatrial.ident.estimation import (
     Profile,
     ReportedEstimates,
     Role,
+    agrees_with_bench,
     given_prior_flags,
     run_differences,
 )
@@ -192,7 +193,7 @@ def _flags(
     """
     factor, unit = reported.factor(p.unit), reported.scale.unit(p.unit)
     of_prior = given_prior_flags(p, estimate, share or 0.0, factor, unit)
-    if flag is None or (of_prior and flag.code == "prior"):
+    if flag is None or (flag.code == "prior" and (of_prior or agrees_with_bench(p, estimate[0]))):
         return [*of_prior]
     return [Flag(flag.code, _flag_text(flag, p, estimate[0], reported)), *of_prior]
 
