@@ -369,7 +369,7 @@ class Trace(Part, frozen=True, kw_only=True):
     """Measured channel of a record over time, with its prediction over the horizon and its simulation.
 
     A prediction starts from the filtered state `horizon_seconds` earlier. The simulation uses the inputs alone. Times
-    count from the start of the record.
+    count from the start of the log.
     """
 
     record: Annotated[str, Meta(description="name of the record")]
@@ -418,8 +418,7 @@ class Track(Part, frozen=True, kw_only=True):
 class InputTrace(Part, frozen=True, kw_only=True):
     """Input of the model in a record over time.
 
-    Times count from the start of the record in the result of a fit, and from the start of the log in those of
-    navigation and information.
+    Times count from the start of the log.
     """
 
     record: Annotated[str, Meta(description="name of the record")]
@@ -458,7 +457,7 @@ class WhitenessTests(Part, frozen=True, kw_only=True):
 class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     """Whiteness tests of the residuals (standardised innovations) of a channel in a record.
 
-    Times count from the start of the record.
+    Times count from the start of the log.
     """
 
     role: Annotated[Role, Meta(description="`estimation` or `validation`")] = "estimation"
@@ -1257,7 +1256,7 @@ class NonparametricCurve(Part, frozen=True, kw_only=True):
 class ResidualForce(Part, frozen=True, kw_only=True):
     """Disturbance force in a record over time: smoothed estimate of a force that the model does not explain.
 
-    Times count from the start of the record.
+    Times count from the start of the log.
     """
 
     record: Annotated[str, Meta(description="name of the record")]

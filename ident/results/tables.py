@@ -364,7 +364,7 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
     largest = validation.largest_errors({name: p.errors for name, p in predicted.items()}, evaluation.horizon)
     where = None
     if largest is not None:
-        start = float(predicted[largest.record].record.meta.get("t0", 0.0))
+        start = predicted[largest.record].record.t_from
         where = LargestErrorsRow(
             record=largest.record, begin=start + largest.begin, end=start + largest.end, share=largest.share
         )
@@ -452,13 +452,13 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             channel=o.name,
             unit=o.unit,
             angle=o.angle,
-            t=now.record.t[seen],
+            t=now.record.t_log[seen],
             measured=now.record.y[seen, j],
             model=now.simulation.y[seen, j],
             sd=now.simulation.sd[seen, j],
-            diverged=now.simulation.diverged.get(o.name),
+            diverged=None if (end := now.simulation.diverged.get(o.name)) is None else end + now.record.t_from,
             before=None if then is None else then.simulation.y[seen, j],
-            t_horizon=far.t,
+            t_horizon=far.t + now.record.t_from,
             horizon=far.y,
             sd_horizon=far.sd,
             horizon_before=None if then is None else then.horizon.get(o.name, NO_PREDICTION).y,
@@ -542,10 +542,10 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
 def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
     """Return the inputs of all records of an evaluation over time as rows of a result, estimation records first.
 
-    They are the inputs that reports show (`record_inputs`). Times count from the start of each record.
+    They are the inputs that reports show (`record_inputs`). Times count from the start of the log.
     """
     return tuple(
-        row
+        msgspec.structs.replace(row, t=row.t + prediction.record.t_from)
         for data in evaluation.sets.values()
         for prediction in data.records
         for row in record_inputs(evaluation.model, prediction.record)

@@ -426,7 +426,8 @@ def _result(
         if kind.seconds == horizons[0]:
             at = [(k, c) for k, own in enumerate(changes) for c in own if c.seconds == kind.seconds]
             undecided = [k for k, c in at if c.against_reference.verdict not in ("better", "worse")]
-            events = concentration_notes(errors, letters, horizons[0], undecided)
+            starts = {r.name: r.t_from for r in records[0]}
+            events = concentration_notes(errors, letters, horizons[0], undecided, starts)
     models = list[ComparedModel]()
     for label, c, by, own in zip(letters, compared, predicted, changes, strict=True):
         with_effects = any(not e.kind.nuisance for e in c.model.effects)
@@ -729,10 +730,10 @@ def _traces(
                     model=letter,
                     kind=kind.kind,
                     seconds=kind.seconds,
-                    t=curve.t,
+                    t=curve.t + record.t_from,
                     predicted=curve.y,
                     sd=curve.sd,
-                    filtered=_warm_ups(by[record.name]) if kind == SIMULATION else (),
+                    filtered=_warm_ups(by[record.name], record.t_from) if kind == SIMULATION else (),
                 )
                 for letter, by in zip(letters, predicted, strict=True)
                 for kind in by[record.name][0].curves
@@ -744,7 +745,7 @@ def _traces(
                     channel=name,
                     unit=output.unit,
                     angle=output.angle,
-                    t=record.t[seen],
+                    t=record.t_log[seen],
                     measured=y[seen],
                     predictions=predictions,
                 )
@@ -752,9 +753,13 @@ def _traces(
     return found
 
 
-def _warm_ups(parts: Sequence[PredictedRecord]) -> tuple[tuple[float, float], ...]:
-    """Return the interval of time [s] of each block of a record in which the simulation is filtered."""
-    return tuple((float(part.t[0]), float(part.t[0]) + WARM_UP) for part in parts)
+def _warm_ups(parts: Sequence[PredictedRecord], start: float) -> tuple[tuple[float, float], ...]:
+    """Return the interval of time of each block of a record in which the simulation is filtered.
+
+    It is in the time of the log [s], in which the record begins at ``start``.
+    """
+    begins = [start + float(part.t[0]) for part in parts]
+    return tuple((begin, begin + WARM_UP) for begin in begins)
 
 
 def _joined(parts: Sequence[PredictedRecord], kind: Kind, channel: str) -> Curve | None:

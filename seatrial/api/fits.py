@@ -425,7 +425,7 @@ class FittedResult(FitReport):
             for j, output in enumerate(self.fitted.model.outputs):
                 e = view.run.standardised[:, j]
                 if np.isfinite(e).any():
-                    by_channel[output.name] = Series(view.record.t[np.isfinite(e)], e[np.isfinite(e)])
+                    by_channel[output.name] = Series(view.record.t_log[np.isfinite(e)], e[np.isfinite(e)])
             found[view.record.name] = by_channel
         return found
 
@@ -978,8 +978,9 @@ def _prediction(
 ) -> Prediction:
     """Return the samples and predictions of a channel of a record, from the prediction errors at its sample times.
 
-    `output` is the channel in the model. `t` (n,) are the times of the samples [s]. `error` (n,) is measured minus
+    `output` is the channel in the model. `t` (n,) are the times of the samples [s] in the record; those
+    of the result count from the start of the log. `error` (n,) is measured minus
     predicted, and `sd` (n,) its predicted standard deviation, both in the unit of the channel.
     """
     measured = record.y[np.searchsorted(record.t, t), record.outputs.index(output.name)]
-    return Prediction(t, measured, measured - error, sd, output.unit)
+    return Prediction(t + record.t_from, measured, measured - error, sd, output.unit)

@@ -522,17 +522,17 @@ def test_seconds_that_have_most_of_the_errors_are_named() -> None:
     event = np.where((t >= 286.0) & (t < 289.0), 40.0, 1.0)
     own = [{"run": {"r": errors(t, e), "psi": errors(t, e), "x": errors(t, np.full(t.size, 2.0))}}
            for e in (np.full(t.size, 2.0), event)]  # fmt: skip
-    (note,) = concentration_notes(own, labels(2), 10.0, [1])
+    (note,) = concentration_notes(own, labels(2), 10.0, [1], {"run": 10.0})
     assert note.startswith(
-        "A small part of the time has most of the squared error 10 s ahead: (b) 94 % of that of r, psi in 285 to 290 s "
-        "of run (since the start of the record). Without these seconds, of the errors over all channels that of (b) is "
+        "A small part of the time has most of the squared error 10 s ahead: (b) 94 % of that of r, psi in 295 to 300 s "
+        "of run (since the start of the log). Without these seconds, of the errors over all channels that of (b) is "
         "0.63 times that of (a). "
     )
-    (decided,) = concentration_notes(own, labels(2), 10.0, [])
+    (decided,) = concentration_notes(own, labels(2), 10.0, [], {})
     assert "Without" not in decided
-    (alone,) = concentration_notes(own[1:], labels(1), 10.0, [])
+    (alone,) = concentration_notes(own[1:], labels(1), 10.0, [], {})
     assert ": 94 % of that of r, psi in 285 to 290 s of run (" in alone
-    assert concentration_notes(own[:1], labels(1), 10.0, []) == []
+    assert concentration_notes(own[:1], labels(1), 10.0, [], {}) == []
 
 
 def test_note_on_the_errors_is_in_every_output(
@@ -842,6 +842,18 @@ def test_part_of_a_log_that_a_model_was_fitted_to_is_recognised(logs: list[Path]
     assert digest[:10] in render(fitted.result)
     line = f"run2.mcap[10:60] sha256:{digest[:16]}"
     assert load_model(saved / "model.toml").provenance["logs"] == [line]
+    # All times are those of the log, from 10 s on.
+    times = [x.t for x in (*fitted.result.traces, *fitted.result.inputs, *fitted.result.residuals)]
+    times += [x.t_horizon for x in fitted.result.traces]
+    for found_series in (fitted.residuals(), fitted.predict(), fitted.simulate()):
+        times += [series.t for by_channel in found_series.values() for series in by_channel.values()]
+    with pytest.warns(SeatrialWarning, match="The model was fitted to run2"):
+        seen = st.compare(saved, st.open_log(logs[1], start=10.0, end=60.0))
+    for by_horizon in seen.predictions().values():
+        times += [p.t for by_log in by_horizon.values() for by_name in by_log.values() for p in by_name.values()]
+    times += [series.t for by_name in seen.residuals().values() for series in by_name.values()]
+    assert min(float(t[0]) for t in times) == pytest.approx(10.0, abs=0.2)
+    assert max(float(t[-1]) for t in times) == pytest.approx(60.0, abs=0.2)
     (tmp_path / "other").mkdir()
     renamed = shutil.copy(logs[1], tmp_path / "other" / "moved.mcap")
     same_name = shutil.copy(logs[2], tmp_path / "other" / "run2.mcap")
