@@ -306,14 +306,14 @@ def _whiteness_sentence(
 
 
 def coloured_sentence(
-    residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
+    errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
 ) -> str:
     """Return the sentence on residuals that are not white or are correlated with the inputs; "" if they pass the tests.
 
-    The tests and ``searchable`` are those of the answer of a vehicle fit.
+    The arguments and the tests are those of the answer of a vehicle fit.
     """
     coloured, significant = _failed_tests(residuals, cross)
-    return _whiteness_sentence((), residuals, cross, searchable) if coloured or significant else ""
+    return _whiteness_sentence(errors, residuals, cross, searchable) if coloured or significant else ""
 
 
 def _failed_tests(

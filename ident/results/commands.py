@@ -316,8 +316,9 @@ def thruster_result(
     reach = largest_speeds(np.concatenate([record.y[:, 0] for record in fitted.records]))
     reach = {way: speed for way, speed in reach.items() if way in ways}
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
+    errors = error_tables(evaluation)
     answer = thruster_answer(fitted.fit, static is not None, ways, calibration, smallest, bool(contradictions), reach)
-    sentences = [answer, coloured_sentence(residuals, cross, bool(residuals_of(evaluation.model)))]
+    sentences = [answer, coloured_sentence(errors, residuals, cross, bool(residuals_of(evaluation.model)))]
     return ThrusterResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
@@ -335,7 +336,7 @@ def thruster_result(
         fit=fit_summary(fitted.fit, posed.start, calibration if static is not None else 0.0),
         failed_runs=fitted.failed,
         horizon_seconds=evaluation.horizon,
-        errors=error_tables(evaluation),
+        errors=errors,
         calibration=bands,
         traces=traces(evaluation),
         track=tracks(evaluation),
