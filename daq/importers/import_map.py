@@ -120,6 +120,8 @@ class Signal:
         "keep" or "drop" values that repeat the previous one; "" for `TextStyle.repeats` of the source.
     is_role_assumed : bool
         Whether the map has no role for the signal, which is then an output.
+    time_shift : float
+        Time [s] that is added to the times of the signal.
     """
 
     name: str
@@ -145,6 +147,7 @@ class Signal:
     units: tuple[str, ...] = ()
     repeats: str = ""  # keep | drop: values that repeat the previous one; "": as TextStyle.repeats
     is_role_assumed: bool = False
+    time_shift: float = 0.0  # s
 
     @property
     def log_name(self) -> str:
@@ -524,6 +527,7 @@ def _signal_of_table(table: TomlTable, frame: str) -> Signal:
         units,
         table.text("repeats", "", choices=("keep", "drop", "")),
         not table.has("role"),
+        table.number("time_shift", 0.0),
     )
     table.done()
     return found

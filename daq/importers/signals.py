@@ -169,9 +169,9 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     Notes
     -----
     The steps for each signal are, in this order: rows in the order of time, cells without a number (`nan`), scale,
-    offset and sign, `missing`, repeats that the map drops, SI unit, NED axes, `angle` and `timeout`. Repeats of held
-    values are removed last, together for the signals with the same rows. If cells without a number are dropped, the
-    order of times is judged by the rows with a value of the signal.
+    offset and sign, `missing`, repeats that the map drops, SI unit, NED axes, `angle`, `timeout` and `time_shift`.
+    Repeats of held values are removed last, together for the signals with the same rows. If cells without a number are
+    dropped, the order of times is judged by the rows with a value of the signal.
     """
     signals: list[SignalData] = []
     n_dropped = 0
@@ -232,14 +232,14 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         repeats = signal.repeats or source.options.style.repeats
         holds = signal.hold == "zero" or signal.timeout
         if repeats == "" and not holds and not np.isnan(raw[rows]).any():
-            of_table.setdefault((clock, rows.tobytes()), []).append(len(signals))
+            of_table.setdefault((clock, signal.time_shift, rows.tobytes()), []).append(len(signals))
         elif signal.repeats == "drop":
             rows[np.flatnonzero(rows)] &= _changed_rows([raw[rows]])
         unit, factor = UNITS[signal.unit]
         signal, values = _in_ned(signal, values[rows] * factor)
         t_signal, values = _with_timeouts(t[rows], _wrapped_or_unwrapped(values, signal.angle), signal.timeout)
         origin = _origin_of_position(table, signal)
-        full = _rpm_at_one(table, signal)
+        full, t_signal = _rpm_at_one(table, signal), t_signal + signal.time_shift
         signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any()), origin, full))
     for places in of_table.values():
         for k, data, held_signal in _without_held([signals[k] for k in places], places):

@@ -18,7 +18,14 @@ from seatrial.ident.characterisation.thrust_curve import MIN_SAMPLES, REVERSED_L
 from seatrial.ident.checks import check_shafts, invalidates_fit
 from seatrial.ident.data import Channel, LoadedLog, LogSegment, Record
 from seatrial.ident.estimation import EstimationOptions, Fit, Likelihood, SearchSettings, fit
-from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
+from seatrial.ident.model import (
+    Model,
+    Parameter,
+    ParameterOrigin,
+    command_of,
+    commanded_thrusters,
+    shaft_speed_of,
+)
 from seatrial.ident.models import START_POLES, delay_step, delayed_channels, pace_with_copy_at, thruster_model
 from seatrial.ident.numerics import Array, LagData, fit_first_order_lag
 
@@ -70,10 +77,18 @@ def fit_with_delay_on_grid(
         records = make_records(exact)
         values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
         kept = [fitted.model.parameter(n) for n in ("d", "c2") if n in values]  # d was freed, c2 may be fixed
+        kept += [p for p in fitted.model.parameters if p.name != "tau" and _is_given(p)]
         model = exact.with_values(values).replace_parameters(*kept)
+        if _is_given(tau := fitted.model.parameter("tau")):  # its upper bound is that of the new copies
+            model = model.replace_parameters(model.parameter("tau").known(tau.value, 0.0, tau.origin))
         fitted = fit(model, records, plain, WITHOUT_ERRORS if options.reml else None)
     fitted = _fit_restricted(fitted, records) if options.reml else fitted if step else fit(fitted.model, records, plain)
     return replace(fitted, options=options), records
+
+
+def _is_given(p: Parameter) -> bool:
+    """Return whether the user has fixed a parameter of a thruster model."""
+    return p.origin is ParameterOrigin.GIVEN and not p.free
 
 
 def _fit_restricted(plain: Fit, records: Sequence[Record]) -> Fit:
@@ -115,13 +130,17 @@ def fit_thruster(
     Returns
     -------
     Fit
-        The last fit. ``d`` is free in it.
+        The last fit. ``d`` is free in it, unless the user has fixed it.
     """
-    if "thrust" in model.provides and len(directions(records)) < len(WAYS):
+    one_way = "thrust" in model.provides and len(directions(records)) < len(WAYS)
+    if one_way and not any(_is_given(model.parameter(c)) for c in ("c1", "c2")):
         model = model.replace_parameters(model.parameter("c2").at(0.0).fixed())
-    guess = first_guess(records, model)
-    guess["tau"] = min(guess["tau"], 0.95 * model.parameter("tau").bounds[1])
+    guess = {n: x for n, x in first_guess(records, model).items() if model.parameter(n).free}
+    if "tau" in guess:
+        guess["tau"] = min(guess["tau"], 0.95 * model.parameter("tau").bounds[1])
     fitted = fit(model, records, options, settings, start=guess)
+    if _is_given(model.parameter("d")):
+        return fitted
     at, found = [p.name for p in model.parameters].index("d"), -1.0
     for _ in range(N_SEARCHES):
         likelihood, values = Likelihood(fitted.model), fitted.record_values
@@ -191,8 +210,8 @@ def steady_thrust(fitted: Fit, n: Array) -> tuple[Array, Array]:
     """
     B = np.column_stack([n * np.abs(n), n * n])
     force = B @ [fitted.estimate(c)[0] for c in ("c1", "c2")]
-    free = [c for c in ("c1", "c2") if c in fitted.names]  # c2 may be fixed
-    at, B = [fitted.names.index(c) for c in free], B[:, : len(free)]
+    free = [k for k, c in enumerate(("c1", "c2")) if c in fitted.names]  # each of both may be fixed
+    at, B = [fitted.names.index(("c1", "c2")[k]) for k in free], B[:, free]
     variance = np.einsum("ij,jk,ik->i", B, fitted.covariance[np.ix_(at, at)], B)
     return force, np.sqrt(np.where(variance >= 0.0, variance, np.nan))
 

@@ -38,6 +38,12 @@ MAX_SEARCH_SAMPLES = 36_000  # of the common grid, from the first command on; mo
 # sample.
 CLEARLY, CLEARLY_VARIANCES = 0.1, 30.0
 MAX_RISE_TIME_S = 1.0  # until half of a step shows
+# A shaft that moves in the row of its command: rows at most so far apart [s], of which so many before the step have one
+# command; number of steps; least and largest share of the step, and largest spread of this share, as a part of it. With
+# slow rows, or if the share varies, the command was sent at some time between two rows.
+MAX_ROW_S, QUIET_ROWS, FEWEST_STEPS = 0.2, 5, 5
+LEAST_SHARE, LARGEST_SHARE, LARGEST_SPREAD = 0.05, 0.9, 0.5
+SAME_STAMP_S = 1e-4
 RAD_PER_S = 2.0 * np.pi / 60.0  # rad/s of one revolution per minute
 
 
@@ -156,8 +162,11 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
         return
     of_steps = list(_step_findings(name, command, shaft))
     yield from of_steps
+    early = _moves_in_the_row_of_its_command(command, shaft, found.scale)
+    if early is not None:
+        yield Finding("warning", "command-one-row-late", "delay", name, early.text, early.advice)
     # The search has a grid, and no standard error
-    follows = f"the shaft follows {found.delay:.2f} s after its command (steps of {SHAFT_GRID_S:g} s, interval unknown)"
+    follows = f"the shaft follows its command after about {found.delay:.2f} s (tried in steps of {SHAFT_GRID_S:g} s)"
     if found.delay_known and found.delay > MAX_DELAY + SHAFT_GRID_S / 2:
         yield Finding(
             "fault",
@@ -167,7 +176,7 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
             f"{follows}, later than {MAX_DELAY:g} s",
             "check the telemetry rate, the load of the bus, and the ramp of the controller",
         )
-    elif found.delay_known and not any(f.check == "delay" for f in of_steps):
+    elif found.delay_known and early is None and not any(f.check == "delay" for f in of_steps):
         yield Finding("ok", "shaft-on-time", "delay", name, follows)
     if found.band_gain > 0.2 and found.band > 0.0:
         wide = found.band > MAX_DEAD_BAND + 0.005
@@ -175,6 +184,83 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
         text = f"commands below {found.band:.2f} of full do not turn the shaft"
         code = "dead-band-wide" if wide else "dead-band-narrow"
         yield Finding("fault" if wide else "ok", code, "dead band", name, text, advice if wide else "")
+
+
+class EarlyShaft(NamedTuple):
+    """Shaft that has moved already in the row of its command, in a log whose rows have command and speed.
+
+    Attributes
+    ----------
+    share
+        Median share of a step of the command by which the shaft has moved in the row of the step, 0 to 1.
+    n_steps
+        Number of these steps.
+    row
+        Time between two rows [s].
+    """
+
+    share: float
+    n_steps: int
+    row: float
+
+    @property
+    def text(self) -> str:
+        """Text of the finding."""
+        return (
+            f"in the row of a step of its command the shaft has already moved by {100 * self.share:.0f} % of the step "
+            f"(median of {self.n_steps} steps): the speed and the command that causes it are probably one row "
+            f"({self.row:.3g} s) apart in the log, not simultaneous"
+        )
+
+    @property
+    def advice(self) -> str:
+        """Advice: the key of the import map that shifts the command."""
+        return (
+            "if the logger stores the command after the speed, or stamps rows with the end of their interval, import "
+            f"the command with time_shift = {-self.row:.3g} in its [[signal]] of the import map; otherwise the fitted "
+            "delay is too short"
+        )
+
+
+def _moves_in_the_row_of_its_command(command: Channel, shaft: Channel, scale: float) -> EarlyShaft | None:
+    """Return the share by which the shaft moves in the row of a step of its command; None if it does not.
+
+    Parameters
+    ----------
+    command
+        Commands over full command. Only steps after five rows with the same command count, and only if they have the
+        stamps of shaft speeds, as in a table with one row for both.
+    shaft
+        Measured shaft speed over full speed.
+    scale
+        Shaft speed over command when it has settled.
+
+    Notes
+    -----
+    The movement is that beyond the change of the row before. The rows are at most 0.2 s apart: in a slower table a
+    shaft settles between a command and the next row.
+    """
+    row = float(np.median(np.diff(shaft.t))) if shaft.t.size > QUIET_ROWS + 1 else np.inf
+    if row > MAX_ROW_S:
+        return None
+    last = np.searchsorted(command.t, shaft.t + SAME_STAMP_S, "right") - 1
+    u = command.value[np.maximum(last, 0)]
+    change = np.append(0.0, np.diff(u))
+    steps = np.flatnonzero(np.abs(change) > MIN_STEP)
+    steps = steps[(steps > QUIET_ROWS) & (last[steps - QUIET_ROWS] >= 0)]
+    steps = steps[[not change[k - QUIET_ROWS + 1 : k].any() for k in steps]]
+    stamped = np.abs(command.t[last[steps]] - shaft.t[steps]) < SAME_STAMP_S
+    even = (shaft.t[steps] - shaft.t[steps - 2]) < 3.0 * row
+    if np.count_nonzero(stamped) < 0.9 * steps.size or np.count_nonzero(k := stamped & even) < FEWEST_STEPS:
+        return None
+    at = steps[k]
+    n = shaft.value
+    shares = (n[at] - 2.0 * n[at - 1] + n[at - 2]) / (scale * change[at])
+    share = float(np.median(shares))
+    spread = 1.4826 * float(np.median(np.abs(shares - share)))
+    if not LEAST_SHARE < share < LARGEST_SHARE or spread > LARGEST_SPREAD * share:
+        return None
+    return EarlyShaft(share, at.size, row)
 
 
 def _scale_findings(name: str, found: Response) -> Iterator[Finding]:

@@ -72,6 +72,7 @@ def ident() -> None:
     "give the zero of the load cell.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
+@fix_option
 @horizon_option
 @robust_option
 @reml_option()

@@ -24,6 +24,9 @@ from .loading import parts_with_sensors as parts_with_sensors
 from .loading import share_frame as share_frame
 from .loading import window_of_each as window_of_each
 from .loading import within_window as within_window
+from .log_identity import LogPart as LogPart
+from .log_identity import part_of_line as part_of_line
+from .log_identity import part_of_log as part_of_log
 from .outliers import position_jumps as position_jumps
 from .outliers import without_outliers as without_outliers
 from .record import SAME_TIME as SAME_TIME

@@ -969,8 +969,9 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
     role
         ``estimation`` or ``validation``, for reports.
     window
-        Interval of time of the log to load. The rest of the log is not read (except its first minute, and one minute on
-        both sides), so that ``about["sha256"]`` is empty. The signals contain the minute on both sides.
+        Interval of time of the log to load. The messages of the rest are not read (except its first minute, and one
+        minute on both sides). The signals contain the minute on both sides. ``about["sha256"]`` is the hash of the
+        whole file, and ``about["path"]`` ends with the interval.
     device_faults
         Function that returns the findings on the devices of an open log, or of its window. None: the devices are not
         checked.
@@ -1019,7 +1020,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
         last = float(max(c.t[-1] for c in moved.values()))
         about = {
             "path": path.name if window == WHOLE else f"{path.name}[{window.t_from:g}:{window.t_to:g}]",
-            "sha256": log.sha256 if window == WHOLE else "",
+            "sha256": log.sha256,  # of the whole file, also of a part: a later comparison recognises the log by it
             "role": role,
             "name": path.stem,
             "start": datetime.fromtimestamp(start + window.t_from, UTC).isoformat(timespec="seconds"),

@@ -220,6 +220,16 @@ class Record:
         return np.append(np.diff(self.t), 0.0)
 
     @property
+    def t_from(self) -> float:
+        """Start of the record in its log [s], which ``t`` counts from; 0 if it is unknown."""
+        return float(self.meta.get("t0", 0.0))
+
+    @property
+    def t_log(self) -> Array:
+        """Times of the rows [s] since the start of the log (n_rows,)."""
+        return self.t + self.t_from
+
+    @property
     def n_rows(self) -> int:
         """Number of rows of the record."""
         return int(self.t.size)

@@ -27,6 +27,7 @@ from .fitted_model import with_all_candidates as with_all_candidates
 from .fitted_model import without_absent_sensors as without_absent_sensors
 from .fitted_model import without_unknown_noise as without_unknown_noise
 from .given_priors import BEYOND_PRIOR as BEYOND_PRIOR
+from .given_priors import agrees_with_bench as agrees_with_bench
 from .given_priors import exceeded_prior as exceeded_prior
 from .given_priors import given_prior_flags as given_prior_flags
 from .homogeneity import HomogeneityTest as HomogeneityTest

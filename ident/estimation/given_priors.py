@@ -14,6 +14,8 @@ BEYOND_PRIOR = (
     "missing, and a difference of the thrusts of both sides"
 )
 
+LARGER_ERROR = "its standard error is larger than the given one, as it contains what the model does not explain"
+
 
 def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
     """Return the standard deviation of the prior of a parameter if the standard error of its estimate exceeds it.
@@ -42,6 +44,15 @@ def exceeded_prior(p: Parameter, value: float, error: float) -> float | None:
     return given if error > LEAST_EXCESS * max(given, at_estimate) else None
 
 
+def agrees_with_bench(p: Parameter, value: float) -> bool:
+    """Return whether an estimate is within one standard deviation of the value that a bench test has measured.
+
+    Such a parameter keeps its measured value, which is no reason for a flag.
+    """
+    measured = p.free and p.prior is not None and p.provenance is ParameterOrigin.MEASURED
+    return measured and p.prior is not None and abs(value - p.prior[0]) <= p.prior[1]
+
+
 def given_prior_flags(
     p: Parameter, estimate: tuple[float, float], weight: float, factor: float = 1.0, unit: str | None = None
 ) -> tuple[Flag, ...]:
@@ -61,10 +72,11 @@ def given_prior_flags(
     Returns
     -------
     tuple of Flag
-        Empty if the user gave no prior, or if the flag would say nothing: the data have a tenth of the information or
-        more, and the standard error is not larger than that of the prior.
+        Empty if the user gave no prior, or if the flag would say nothing: the estimate agrees with that of a bench
+        test, or the data have a tenth of the information or more, and the standard error is not larger than that of the
+        prior.
     """
-    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or p.prior is None:
+    if not p.free or p.provenance is ParameterOrigin.ESTIMATED or p.prior is None or agrees_with_bench(p, estimate[0]):
         return ()
     (value, error), (mean, sd) = estimate, p.prior
     is_larger = exceeded_prior(p, value, error) is not None
@@ -85,4 +97,4 @@ def given_prior_flags(
     found = Flag("prior", f"given {shown(mean, sd)}; {data}; fitted {shown(value, error)}")
     if not is_larger:
         return (found,)
-    return found, Flag("larger error", f"its standard error is larger than the given one, because {BEYOND_PRIOR}")
+    return found, Flag("larger error", LARGER_ERROR)

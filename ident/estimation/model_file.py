@@ -17,7 +17,7 @@ from seatrial.daq.files import write_output
 from seatrial.daq.log import is_log
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.effects import catalogue, input_response_effects, nonparametric_effect
-from seatrial.ident.estimation.given_priors import given_prior_flags
+from seatrial.ident.estimation.given_priors import agrees_with_bench, given_prior_flags
 from seatrial.ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from seatrial.ident.estimation.interval_widening import ErrorScale, IntervalCalibration
 from seatrial.ident.estimation.maximum_likelihood import Fit
@@ -442,7 +442,8 @@ def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, A
         row["per_record"] = True
     flag, share = dict(fit.flags).get(p.name), 0.0 if at is None else float(fit.prior_weight[at])
     of_prior = given_prior_flags(p, (value, float(error)), share)
-    own = () if flag is None or (of_prior and flag.code == "prior") else (flag,)
+    told = bool(of_prior) or agrees_with_bench(p, value)
+    own = () if flag is None or (told and flag.code == "prior") else (flag,)
     return row | {"flag": "; ".join((*own, *of_prior))} if own or of_prior else row
 
 

@@ -28,6 +28,8 @@ from .signal_id import drive_word as drive_word
 from .signal_id import is_of_thruster as is_of_thruster
 from .signal_id import shaft_speed_of as shaft_speed_of
 from .signal_id import thrust_of as thrust_of
+from .sizes import ESTIMATED_CURVE as ESTIMATED_CURVE
+from .sizes import GIVEN_CURVE as GIVEN_CURVE
 from .sizes import Estimates as Estimates
 from .sizes import directed_in_sentence as directed_in_sentence
 from .sizes import directed_size as directed_size

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 Estimates = Mapping[str, tuple[float, float]]  # estimate and standard error by parameter
+ESTIMATED_CURVE, GIVEN_CURVE = "the estimated curve", "the given curve"  # of the thrust, by the origin of c1 and c2
 FACTORS = {"deg": math.degrees(1.0), "%": 100.0}  # from the unit of a parameter to a unit of a report
 
 

@@ -30,6 +30,8 @@ from seatrial.ident.estimation import (
     PriorDistance,
     Role,
     ThrustScale,
+    agrees_with_bench,
+    exceeded_prior,
     least_yaw_inertia,
     prior_distances,
     thrust_scale_of,
@@ -301,6 +303,17 @@ def _whiteness_sentence(
     )
     how = ": run `seatrial ident diagnose` to see whether an effect is missing" if searchable else either
     return f"{end}{how}."
+
+
+def coloured_sentence(
+    errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
+) -> str:
+    """Return the sentence on residuals that are not white or are correlated with the inputs; "" if they pass the tests.
+
+    The arguments and the tests are those of the answer of a vehicle fit.
+    """
+    coloured, significant = _failed_tests(residuals, cross)
+    return _whiteness_sentence(errors, residuals, cross, searchable) if coloured or significant else ""
 
 
 def _failed_tests(
@@ -593,6 +606,7 @@ def prior_notes(fit: Fit) -> list[str]:
     """Return a note for each given prior that the data contradict only if no effect is missing from the model.
 
     Priors that the data contradict in any case have a warning (`estimation_warnings`). Priors of the noise have none.
+    Another note names the parameters that keep their value of a bench test, but with a larger standard error.
     """
     notes = []
     for away in prior_distances(fit):
@@ -605,6 +619,14 @@ def prior_notes(fit: Fit) -> list[str]:
             f"given. {_data_alone(away)}: {abs(away.plain_distance):.1f} standard deviations of both away if no effect "
             f"is missing from the model, and {abs(away.distance):.1f} if the effects that may be missing count. Check "
             "the given value. If it is right, an effect is missing that acts like a change of it."
+        )
+    estimated = ((p, *fit.estimate(p.name)) for p in fit.model.parameters if p.free and not p.per_record)
+    wider = [p.name for p, x, se in estimated if agrees_with_bench(p, x) and exceeded_prior(p, x, se) is not None]
+    if wider:
+        errors, have = ("error", "is") if len(wider) == 1 else ("errors", "are")
+        notes.append(
+            f"The standard {errors} of {' and '.join(wider)} {have} larger than on the bench: what the model does not "
+            "explain is included."
         )
     return notes
 
@@ -900,6 +922,19 @@ def faults_first(made: Provenance) -> str:
         f"The logs have faults that can make this result meaningless ({'; '.join(faults)}; the warnings have their "
         "texts). Correct them and fit again. "
     ) * bool(faults)
+
+
+def late_command_sentence(made: Provenance) -> str:
+    """Return the beginning of the answer of a thruster whose logs store the command one row late; "" for other logs.
+
+    Delay and lag of the shaft, and effects like them, then describe the time of the command. The beginning ends with a
+    space. ``made`` has the findings of the checks of each log.
+    """
+    late = [log.path for log in made.logs if any(f.code == "command-one-row-late" for f in log.findings)]
+    return (
+        f"In {_first_names(late, MOST_NAMES)} command and shaft speed are probably one row apart (see the warning): "
+        "correct this first, because delay and lag of the shaft, and effects like them, have no meaning before. "
+    ) * bool(late)
 
 
 def check_warnings(made: Provenance, besides: Collection[str] = ()) -> list[ResultWarning]:
@@ -1250,7 +1285,9 @@ def thruster_answer(
     ends, lost = [], []
     for direction, word in ((1.0, "forward"), (-1.0, "in reverse")):
         force, error = (float(z[0]) for z in steady_thrust(fitted, np.array([direction])))
-        if direction in directions and is_undetermined(force, error):
+        if error == 0.0:  # both coefficients are fixed
+            ends.append(f"{direction * force:.4g} N {word}, as given,")
+        elif direction in directions and is_undetermined(force, error):
             lost.append(f"{word}: not determined")
         elif direction in directions and math.isfinite(error):
             ends.append(f"{plus_minus(direction * force, math.hypot(error, (calibration or 0.0) * force))} N {word}")

@@ -23,6 +23,7 @@ from seatrial.ident.results.answers import (
     calibration_notes,
     candidate_sentence,
     check_warnings,
+    coloured_sentence,
     course_sentence,
     dead_zone_warnings,
     estimation_logs,
@@ -31,6 +32,7 @@ from seatrial.ident.results.answers import (
     faults_first,
     frames_assumed,
     homogeneity_sentence,
+    late_command_sentence,
     late_sensor_warnings,
     mass_notes,
     moving_boat_warnings,
@@ -313,13 +315,14 @@ def thruster_result(
     smallest = smallest_command(fitted.records)
     reach = largest_speeds(np.concatenate([record.y[:, 0] for record in fitted.records]))
     reach = {way: speed for way, speed in reach.items() if way in ways}
+    residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
+    errors = error_tables(evaluation)
+    answer = thruster_answer(fitted.fit, static is not None, ways, calibration, smallest, bool(contradictions), reach)
+    sentences = [answer, coloured_sentence(errors, residuals, cross, bool(residuals_of(evaluation.model)))]
     return ThrusterResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
-        + (
-            not_converged(fitted.fit)
-            or thruster_answer(fitted.fit, static is not None, ways, calibration, smallest, bool(contradictions), reach)
-        ),
+        + (not_converged(fitted.fit) or late_command_sentence(made) + " ".join(filter(None, sentences))),
         warnings=(
             *check_warnings(made),
             *moving_boat_warnings(bench.speeds, static is not None),
@@ -333,13 +336,13 @@ def thruster_result(
         fit=fit_summary(fitted.fit, posed.start, calibration if static is not None else 0.0),
         failed_runs=fitted.failed,
         horizon_seconds=evaluation.horizon,
-        errors=error_tables(evaluation),
+        errors=errors,
         calibration=bands,
         traces=traces(evaluation),
         track=tracks(evaluation),
         inputs=all_inputs(evaluation),
-        residuals=residual_rows(evaluation),
-        cross=cross_correlations(evaluation),
+        residuals=residuals,
+        cross=cross,
         static=static,
         steady=bench.steady,
         shaft_response=bench.response,

@@ -269,7 +269,7 @@ class ComparedPrediction(Part, frozen=True, kw_only=True):
     model: Annotated[str, Meta(description=LABEL)]
     kind: Annotated[PredictionKind, Meta(description="kind of prediction: `horizon` or `simulation`")]
     seconds: Annotated[float | None, Meta(description="horizon [s]; null: simulation")] = None
-    t: Annotated[Array, Meta(description="times [s] since the start of the record")]
+    t: Annotated[Array, Meta(description="times [s] since the start of the log")]
     predicted: Annotated[Array, Meta(description="predicted values; NaN from the time on at which it diverged")]
     sd: Annotated[
         Array,
@@ -306,7 +306,7 @@ class ComparedTrace(Part, frozen=True, kw_only=True):
     channel: Annotated[str, Meta(description="name of the measured channel")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     angle: Annotated[bool, Meta(description="whether the channel is an angle, which is known except for whole turns")]
-    t: Annotated[Array, Meta(description="times [s] since the start of the record")]
+    t: Annotated[Array, Meta(description="times [s] since the start of the log")]
     measured: Annotated[Array, Meta(description="measured values")]
     predictions: Annotated[
         tuple[ComparedPrediction, ...],

@@ -30,7 +30,16 @@ from seatrial.ident.diagnosis import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, Role
-from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, ParameterRole
+from seatrial.ident.model import (
+    ESTIMATED_CURVE,
+    GIVEN_CURVE,
+    Effect,
+    EffectKind,
+    Model,
+    ModelKind,
+    ParameterOrigin,
+    ParameterRole,
+)
 from seatrial.ident.models import effect_for, force_power
 from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results import parts
@@ -44,6 +53,7 @@ from seatrial.ident.results.answers import (
     failed_run_warnings,
     faults_first,
     frames_assumed,
+    late_command_sentence,
     late_sensor_warnings,
     mass_notes,
     not_converged,
@@ -85,7 +95,7 @@ CLEAR_CRITERION = 10.0  # of a refit, from which its data clearly support it (Ka
 MOST_NEAREST = 2  # effects that are named if none was added
 MOST_REMAINING = 4  # candidates that still pass the score test and are given by name
 AFTER_CURVE = "after a curve, no second curve is tried"
-NOT_TRIED = "beside the effects that were found too little is left to explain, and a larger --max-effects tries no more"
+NOT_TRIED = "explains too little to be tried, and a larger --max-effects tries no more"
 AT_BOUND = 1.001  # factor of a lower bound up to which a noise counts as at it
 CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in data without a missing effect
 
@@ -159,10 +169,11 @@ def diagnosis_result(
     course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
+    late = late_command_sentence(made) if diagnosis.after.fit.model.kind is ModelKind.BENCH else ""
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
-        + (failed or " ".join(filter(None, [answer, worse, straight_sentence(dynamics), course, wind]))),
+        + (failed or late + " ".join(filter(None, [answer, worse, straight_sentence(dynamics), course, wind]))),
         caveat=None if failed else diagnosis_caveat(diagnosis),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
@@ -393,10 +404,15 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
     return (
         f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
-        f"(p = {strongest.p:.1g}), but no candidate explains the residuals: {why}. {_nearest_effects(last)}A score "
-        "test can find what the tests of whiteness and of the correlations with the inputs miss. Look at the residuals "
-        "in the report, or record longer runs."
+        f"({_p_in_words(strongest.p)}), but no candidate explains the residuals: {why}. {_nearest_effects(last)}A "
+        "score test can find what the tests of whiteness and of the correlations with the inputs miss. Look at the "
+        "residuals in the report, or record longer runs."
     )
+
+
+def _p_in_words(p: float) -> str:
+    """Return a p value for a sentence: ``p = 4e-05``; ``p < 1e-300`` if it is too small for a number."""
+    return f"p = {p:.1g}" if p > 0.0 else "p < 1e-300"
 
 
 def _nearest_effects(search_round: Round) -> str:
@@ -601,6 +617,8 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         words = effect.in_words_of_data(_estimates(fitted), _last_inputs(fitted))
     elif effect.in_words is not None:
         words = effect.in_words(_estimates(fitted))
+    if ESTIMATED_CURVE in words and _is_curve_given(fitted.fit.model):
+        words = words.replace(ESTIMATED_CURVE, GIVEN_CURVE)
     if not (effect.parameters and fitted.fit.flags):
         return words
     stuck = [_named_value(p) for p in effect_parameter_rows(effect, fitted) if p.at_bound]
@@ -608,6 +626,13 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         return words
     limit = "is at the limit of this parameter" if len(stuck) == 1 else "are at the limits of these parameters"
     return "; ".join(filter(None, [words, f"{' and '.join(stuck)} {limit}, and so no estimate"]))
+
+
+def _is_curve_given(model: Model) -> bool:
+    """Return whether the thrust curve of a model, c1 and c2, is from a bench test or from the user."""
+    curve = [model.parameter(name) for name in ("c1", "c2") if name in model.values]
+    given = ParameterOrigin.MEASURED, ParameterOrigin.PRIOR, ParameterOrigin.GIVEN
+    return bool(curve) and all(p.provenance in given for p in curve)
 
 
 def _estimates(fitted: FittedModel) -> dict[str, tuple[float, float]]:
@@ -697,11 +722,19 @@ def _physical_parameters(model: Model) -> list[str]:
 def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     """Return the sentences on the candidates that still pass their score tests beside the effects found.
 
-    They list the candidates, give the reason why the search added none of them, and recommend what to do next. They are
-    for a search that did not end by the largest number of effects.
+    They list the candidates, give the reason why the search added none of them, and recommend what to do next. If the
+    candidates were too small to be tried, nothing has to be done. The sentences are for a search that did not end by
+    the largest number of effects.
     """
     n, names = len(diagnosis.remaining), _remaining_names(diagnosis)
     which = f"; the strongest are {names}" if n > MOST_REMAINING else f": {names}"
+    if (reason := _why_not_added(diagnosis)) == NOT_TRIED:
+        passes, each = ("pass their score tests", "each of them") if n > 1 else ("passes its score test", "it")
+        included = ". The standard errors include how far such a candidate would shift an estimate"
+        return [
+            f"{counted(n, 'more candidate')} {passes}{which}. Nothing has to be done about this: {each} {reason}"
+            f"{included if diagnosis.uncertainty is not None else ''}."
+        ]
     none = "The search added none of them" if n > 1 else "The search did not add it"
     if _lacks_second_curve(diagnosis) and diagnosis.rounds[-1].chosen is not None:
         advice = "To try another curve, run `seatrial ident diagnose` with the model of this diagnosis."
@@ -713,7 +746,7 @@ def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     return [
         "The effects found do not explain the residuals in full: beside them the score tests still find "
         f"{counted(n, 'candidate')}{which}.",
-        f"{none}, because {_why_not_added(diagnosis)}.",
+        f"{none}, because {reason}.",
         *([use] if diagnosis.uncertainty is not None else []),
         advice,
     ]
@@ -1088,7 +1121,7 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
                     "model of this diagnosis."
                 )
             elif diagnosis.rounds[-1].chosen is not None:
-                again = f" They were not tried: {NOT_TRIED}."
+                again = f" Nothing has to be done about this: each of them {NOT_TRIED}."
             notes.append(
                 "These candidates still pass the score test after the last effect, but none of them was added: "
                 f"{_remaining_names(diagnosis)}.{again}"

@@ -82,7 +82,9 @@ class LogSummary(Part, frozen=True, kw_only=True):
     """
 
     path: Annotated[str, Meta(description="file name, with the time window if only a part was used")]
-    sha256: Annotated[str, Meta(description="SHA-256 of the file; empty if a time window was given")]
+    sha256: Annotated[
+        str, Meta(description="SHA-256 of the file, also if only a part was used; empty if it is unknown")
+    ]
     role: Annotated[str, Meta(description="`estimation`, `validation`, `navigated`, `judged` or `compared`")]
     name: Annotated[str, Meta(description="name of the log, which its record has too")]
     duration: Annotated[float, Meta(description="[s]")]
@@ -368,7 +370,7 @@ class Trace(Part, frozen=True, kw_only=True):
     """Measured channel of a record over time, with its prediction over the horizon and its simulation.
 
     A prediction starts from the filtered state `horizon_seconds` earlier. The simulation uses the inputs alone. Times
-    count from the start of the record.
+    count from the start of the log.
     """
 
     record: Annotated[str, Meta(description="name of the record")]
@@ -417,8 +419,7 @@ class Track(Part, frozen=True, kw_only=True):
 class InputTrace(Part, frozen=True, kw_only=True):
     """Input of the model in a record over time.
 
-    Times count from the start of the record in the result of a fit, and from the start of the log in those of
-    navigation and information.
+    Times count from the start of the log.
     """
 
     record: Annotated[str, Meta(description="name of the record")]
@@ -457,7 +458,7 @@ class WhitenessTests(Part, frozen=True, kw_only=True):
 class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     """Whiteness tests of the residuals (standardised innovations) of a channel in a record.
 
-    Times count from the start of the record.
+    Times count from the start of the log.
     """
 
     role: Annotated[Role, Meta(description="`estimation` or `validation`")] = "estimation"
@@ -1256,7 +1257,7 @@ class NonparametricCurve(Part, frozen=True, kw_only=True):
 class ResidualForce(Part, frozen=True, kw_only=True):
     """Disturbance force in a record over time: smoothed estimate of a force that the model does not explain.
 
-    Times count from the start of the record.
+    Times count from the start of the log.
     """
 
     record: Annotated[str, Meta(description="name of the record")]

@@ -24,6 +24,7 @@ from seatrial.ident.estimation import (
     Profile,
     ReportedEstimates,
     Role,
+    agrees_with_bench,
     given_prior_flags,
     run_differences,
 )
@@ -138,6 +139,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
             found = [
                 *_flags(flags.get(name), p, fit.estimate(p.name, i), share, reported),
                 *_beside_inertial_curve(p, fit.model.effects),
+                *_without_statement(p, fit, i),
             ]
             rows.append(
                 ParameterRow(
@@ -191,7 +193,7 @@ def _flags(
     """
     factor, unit = reported.factor(p.unit), reported.scale.unit(p.unit)
     of_prior = given_prior_flags(p, estimate, share or 0.0, factor, unit)
-    if flag is None or (of_prior and flag.code == "prior"):
+    if flag is None or (flag.code == "prior" and (of_prior or agrees_with_bench(p, estimate[0]))):
         return [*of_prior]
     return [Flag(flag.code, _flag_text(flag, p, estimate[0], reported)), *of_prior]
 
@@ -244,6 +246,17 @@ def _has_lasting_error(model: Model, noise: str) -> bool:
     if ESTIMATOR_ERROR not in {e.name for e in model.effects}:
         return False
     return any(o.noise == noise for s in model.sensors if s.name in SENSORS_WITH_CORRELATED_ERRORS for o in s.outputs)
+
+
+def _without_statement(p: Parameter, fit: Fit, record: int) -> list[Flag]:
+    """Return a flag if the standard error of a positive parameter of a thruster is larger than its value.
+
+    ``record``: index of the record of a per-record parameter. A vehicle fit has flags of its own for this.
+    """
+    value, error = fit.estimate(p.name, record)
+    if fit.model.kind is not ModelKind.BENCH or p.transform != "log" or not error > abs(value):
+        return []
+    return [Flag("not determined", "not determined: its standard error is larger than its value")]
 
 
 def _beside_inertial_curve(p: Parameter, effects: Iterable[Effect]) -> list[Flag]:
@@ -351,7 +364,7 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
     largest = validation.largest_errors({name: p.errors for name, p in predicted.items()}, evaluation.horizon)
     where = None
     if largest is not None:
-        start = float(predicted[largest.record].record.meta.get("t0", 0.0))
+        start = predicted[largest.record].record.t_from
         where = LargestErrorsRow(
             record=largest.record, begin=start + largest.begin, end=start + largest.end, share=largest.share
         )
@@ -439,13 +452,13 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             channel=o.name,
             unit=o.unit,
             angle=o.angle,
-            t=now.record.t[seen],
+            t=now.record.t_log[seen],
             measured=now.record.y[seen, j],
             model=now.simulation.y[seen, j],
             sd=now.simulation.sd[seen, j],
-            diverged=now.simulation.diverged.get(o.name),
+            diverged=None if (end := now.simulation.diverged.get(o.name)) is None else end + now.record.t_from,
             before=None if then is None else then.simulation.y[seen, j],
-            t_horizon=far.t,
+            t_horizon=far.t + now.record.t_from,
             horizon=far.y,
             sd_horizon=far.sd,
             horizon_before=None if then is None else then.horizon.get(o.name, NO_PREDICTION).y,
@@ -529,10 +542,10 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
 def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
     """Return the inputs of all records of an evaluation over time as rows of a result, estimation records first.
 
-    They are the inputs that reports show (`record_inputs`). Times count from the start of each record.
+    They are the inputs that reports show (`record_inputs`). Times count from the start of the log.
     """
     return tuple(
-        row
+        msgspec.structs.replace(row, t=row.t + prediction.record.t_from)
         for data in evaluation.sets.values()
         for prediction in data.records
         for row in record_inputs(evaluation.model, prediction.record)

@@ -121,7 +121,7 @@ class ChannelResiduals:
     record, channel, unit
         Names of record and channel, and the unit of the channel.
     t : Array (n,)
-        Times [s] of the rows with a sample.
+        Times [s] of the rows with a sample, since the start of the log.
     e : Array (n,)
         Standardised innovations in these rows, without NaN.
     tests
@@ -373,7 +373,8 @@ def residual_tests(model: Model, record: Record, eps: Array, role: Role = "estim
             cross_correlation(o.name, t, e, name, record.t, record.u[:, k], coefficients)
             for k, name, _ in shown_inputs(model)
         )
-        found.append(ChannelResiduals(role, record.name, o.name, o.unit, t, e, whiteness_test(o.name, t, e), inputs))
+        tests = whiteness_test(o.name, t, e)
+        found.append(ChannelResiduals(role, record.name, o.name, o.unit, t + record.t_from, e, tests, inputs))
     return found
 
 
@@ -453,7 +454,7 @@ def smoothed_forces(fitted: FittedModel, forces: Sequence[DisturbanceChannel]) -
     """
     states = [s.name for s in fitted.model.states]
     return tuple(
-        SmoothedForce(v.record.name, f.name, f.unit, v.record.t, v.smoothed.x[:, i], v.smoothed.sd[:, i])
+        SmoothedForce(v.record.name, f.name, f.unit, v.record.t_log, v.smoothed.x[:, i], v.smoothed.sd[:, i])
         for v in fitted.estimation
         for f in forces
         for i in [states.index(f.state)]

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from seatrial.daq.checks import CheckReport, Finding
+from seatrial.daq.checks import FAULT, CheckReport, Finding
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.checks import (
     ESTIMATED,
@@ -32,7 +32,15 @@ from seatrial.ident.checks import (
     log_evidence,
     smoothed,
 )
-from seatrial.ident.data import SHORTEST_PIECE_S, Channel, LoadedLog, LogSegment
+from seatrial.ident.data import (
+    SHORTEST_PIECE_S,
+    Channel,
+    LoadedLog,
+    LogSegment,
+    part_of_log,
+    seconds,
+    within_window,
+)
 from seatrial.ident.model import (
     COMMAND,
     INF,
@@ -113,7 +121,11 @@ def check_first(
         log), and ``despite_faults`` is false.
     """
     logs = [*loaded, *validation_logs]
-    copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
+    copies = _overlaps(logs)
+    parts = [
+        (x, part_of_log(x.about)) for x in logs
+    ]  # a part is read with a minute on both sides, which does not count
+    copies += check_copies([(x.about["path"], within_window(x.run.channels, p.t_from, p.t_to)) for x, p in parts])
     # A model that the shaft speeds drive is right for each of them, whatever the commands were.
     driven = _has_shaft_speed(i.tap_of or i.name for i in model.inputs)
     differences = (
@@ -137,6 +149,21 @@ def check_first(
             )
         )
     return checked[: len(loaded)], checked[len(loaded) :]
+
+
+def _overlaps(logs: Sequence[LoadedLog]) -> list[Finding]:
+    """Return a fault ``log-copied`` for each part of a log that overlaps with an earlier part of the same file."""
+    found = []
+    parts = [part_of_log(x.about) for x in logs]
+    for k, (log, part) in enumerate(zip(logs, parts, strict=True)):
+        for earlier, before in zip(logs[:k], parts[:k], strict=True):
+            common = part.overlap(before)
+            if 0.0 < common < math.inf:
+                text = f"overlaps with {earlier.about['path']} for {seconds(common)} s: they would count twice"
+                advice = "choose parts of this log that do not overlap, or give a log of another run"
+                found.append(Finding(FAULT, "log-copied", "log", log.about["path"], text, advice))
+                break
+    return found
 
 
 def require_thrust_and_length(segments: Sequence[LogSegment], model: Model, despite_faults: bool) -> None:

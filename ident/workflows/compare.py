@@ -79,6 +79,7 @@ from seatrial.ident.workflows.comparison_errors import (
 from seatrial.ident.workflows.comparison_likelihood import (
     information_criteria,
     log_score,
+    other_parts,
     used_logs,
     why_not_comparable,
 )
@@ -425,7 +426,8 @@ def _result(
         if kind.seconds == horizons[0]:
             at = [(k, c) for k, own in enumerate(changes) for c in own if c.seconds == kind.seconds]
             undecided = [k for k, c in at if c.against_reference.verdict not in ("better", "worse")]
-            events = concentration_notes(errors, letters, horizons[0], undecided)
+            starts = {r.name: r.t_from for r in records[0]}
+            events = concentration_notes(errors, letters, horizons[0], undecided, starts)
     models = list[ComparedModel]()
     for label, c, by, own in zip(letters, compared, predicted, changes, strict=True):
         with_effects = any(not e.kind.nuisance for e in c.model.effects)
@@ -486,6 +488,7 @@ def _result(
             *events,
             *_runaway_notes(compared, simulated, horizons[0]),
             *_notes_on_logs(models),
+            *_notes_on_parts(compared, letters, loaded),
             *short,
             *([chance] if verdicts else []),
         ),
@@ -665,6 +668,19 @@ def _notes_on_logs(models: Sequence[ComparedModel]) -> list[str]:
     return [f"Estimated anew for each {'compared ' * (len(models) > 1)}log: {'; '.join(own)}."] if own else []
 
 
+def _notes_on_parts(
+    compared: Sequence[_Candidate], letters: Sequence[str], loaded: Sequence[LoadedLog]
+) -> Iterator[str]:
+    """Yield a note for each compared log of which a model was fitted to another part, without an overlap."""
+    for letter, c in zip(letters, compared, strict=True):
+        subject = f"({letter})" if len(compared) > 1 else "The model"
+        for name, interval in other_parts(c.saved, loaded).items():
+            yield (
+                f"{subject} was fitted to another part of {name} ({interval}) than the compared one. Wind, current and "
+                "load were probably the same: the errors on another day may be larger."
+            )
+
+
 def _runaway_notes(compared: Sequence[_Candidate], simulated: float, horizon: float) -> list[str]:
     """Return the note that names the unstable models, whose simulation runs away; empty without any.
 
@@ -714,10 +730,10 @@ def _traces(
                     model=letter,
                     kind=kind.kind,
                     seconds=kind.seconds,
-                    t=curve.t,
+                    t=curve.t + record.t_from,
                     predicted=curve.y,
                     sd=curve.sd,
-                    filtered=_warm_ups(by[record.name]) if kind == SIMULATION else (),
+                    filtered=_warm_ups(by[record.name], record.t_from) if kind == SIMULATION else (),
                 )
                 for letter, by in zip(letters, predicted, strict=True)
                 for kind in by[record.name][0].curves
@@ -729,7 +745,7 @@ def _traces(
                     channel=name,
                     unit=output.unit,
                     angle=output.angle,
-                    t=record.t[seen],
+                    t=record.t_log[seen],
                     measured=y[seen],
                     predictions=predictions,
                 )
@@ -737,9 +753,13 @@ def _traces(
     return found
 
 
-def _warm_ups(parts: Sequence[PredictedRecord]) -> tuple[tuple[float, float], ...]:
-    """Return the interval of time [s] of each block of a record in which the simulation is filtered."""
-    return tuple((float(part.t[0]), float(part.t[0]) + WARM_UP) for part in parts)
+def _warm_ups(parts: Sequence[PredictedRecord], start: float) -> tuple[tuple[float, float], ...]:
+    """Return the interval of time of each block of a record in which the simulation is filtered.
+
+    It is in the time of the log [s], in which the record begins at ``start``.
+    """
+    begins = [start + float(part.t[0]) for part in parts]
+    return tuple((begin, begin + WARM_UP) for begin in begins)
 
 
 def _joined(parts: Sequence[PredictedRecord], kind: Kind, channel: str) -> Curve | None:

@@ -211,7 +211,11 @@ def ratio_row(found: ErrorRatio | None) -> ComparedRatio | None:
 
 
 def concentration_notes(
-    models: Sequence[ErrorsByRecord], labels: Sequence[str], horizon: float, undecided: Sequence[int]
+    models: Sequence[ErrorsByRecord],
+    labels: Sequence[str],
+    horizon: float,
+    undecided: Sequence[int],
+    starts: Mapping[str, float],
 ) -> list[str]:
     """Return a note on the times that have most of the squared errors over a horizon; empty without such times.
 
@@ -228,6 +232,8 @@ def concentration_notes(
         Prediction horizon [s].
     undecided : sequence of int
         Indices of the models that are neither better nor worse than the first one.
+    starts : mapping
+        Start of each record in its log [s], by name. A block in time of a record has its name and a number.
     """
     found = {k: part for k, own in enumerate(models) if (part := concentrated_errors(own, horizon)) is not None}
     if not found:
@@ -236,7 +242,8 @@ def concentration_notes(
     for k, part in found.items():
         times: dict[str, list[str]] = {}
         for span in part.spans:
-            times.setdefault(span.record, []).append(f"{span.begin:g} to {span.end:g} s")
+            start = starts.get(span.record, starts.get(span.record.rpartition("[")[0], 0.0))
+            times.setdefault(span.record, []).append(f"{start + span.begin:.4g} to {start + span.end:.4g} s")
         where = ", ".join(f"{' and '.join(spans)} of {record}" for record, spans in times.items())
         low, high = (f"{100.0 * share:.0f}" for share in (min(part.shares.values()), max(part.shares.values())))
         share = high if low == high else f"{low} to {high}"
@@ -247,7 +254,7 @@ def concentration_notes(
     words = [f"that of ({labels[k]}) is {ratio:.2g} times" for k, ratio in ratios.items() if np.isfinite(ratio)]
     without = f" Without these seconds, of the errors over all channels {' and '.join(words)} that of ({labels[0]})."
     return [
-        f"{MOST_OF_ERROR} {horizon:g} s ahead: {'; '.join(each)} (since the start of the record)."
+        f"{MOST_OF_ERROR} {horizon:g} s ahead: {'; '.join(each)} (since the start of the log)."
         f"{without if words else ''} These seconds decide the errors: look there for a gap, an outlier, or a motion "
         "that depends on chance, as the side to which an unstable boat turns."
     ]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from seatrial.ident.data import LoadedLog
+from seatrial.ident.data import LoadedLog, LogPart, part_of_line, part_of_log
 from seatrial.ident.estimation import SavedModel
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import chi2_sf, student_ppf
@@ -60,16 +59,30 @@ def used_logs(
 ) -> tuple[str, ...]:
     """Return the names of those of ``logs`` that the model ``saved`` was fitted to, or validated on.
 
-    A log is recognised by its hash, which the model file lists. A log of which only an interval was read has no hash
-    and is recognised by the name of its file.
+    A log is recognised by its hash, which the model file lists, or by the name of its file if the model file lacks the
+    hash. Of a log in parts, a part counts if it overlaps with a part in the model file.
     """
-    used = [str(line) for line in saved.provenance.get(use, ())]
-    found = []
+    used = _parts_in(saved, use)
+    return tuple(log.run.name for log in logs if any(part_of_log(log.about).overlap(part) for part in used))
+
+
+def other_parts(saved: SavedModel, logs: Sequence[LoadedLog]) -> dict[str, str]:
+    """Return the intervals of the parts that the model was fitted to, of those ``logs`` of which it used other parts.
+
+    The keys are the names of the logs. A log that overlaps with a part that the model was fitted to is left out.
+    """
+    used, found = _parts_in(saved, "logs"), dict[str, str]()
     for log in logs:
-        digest, name = str(log.about.get("sha256") or "")[:16], Path(str(log.about["path"])).name.partition("[")[0]
-        if any(digest in line if digest else Path(line.partition(" sha256:")[0]).name == name for line in used):
-            found.append(log.run.name)
-    return tuple(found)
+        own = part_of_log(log.about)
+        of_file = [part for part in used if part.same_file(own)]
+        if of_file and not any(part.overlap(own) for part in of_file):
+            found[log.run.name] = ", ".join(part.interval for part in of_file)
+    return found
+
+
+def _parts_in(saved: SavedModel, use: Literal["logs", "validation"]) -> list[LogPart]:
+    """Return the logs, or the parts of logs, that the model was fitted to or validated on, by its file."""
+    return [part_of_line(str(line)) for line in saved.provenance.get(use, ())]
 
 
 def why_not_comparable(
@@ -80,8 +93,8 @@ def why_not_comparable(
 ) -> str:
     """Return the reason why there are no information criteria of two models; an empty text if they are valid.
 
-    They are valid if both models were fitted to exactly the compared ``logs``, each read as a whole, by maximum
-    likelihood without REML and with a first-order filter.
+    They are valid if both models were fitted to exactly the compared ``logs``, or parts of logs, by maximum likelihood
+    without REML and with a first-order filter.
 
     Parameters
     ----------
@@ -96,12 +109,13 @@ def why_not_comparable(
     """
     if score is None:
         return "the models do not predict the same samples"
-    if any(not log.about.get("sha256") for log in logs):
-        return "only a part of a log is used, and a model file does not contain the part that it was fitted to"
-    if any(
-        len(own) != len(logs) or len(m.provenance["logs"]) != len(logs) for m, own in zip(saved, fitted_to, strict=True)
-    ):
-        return "not all models were fitted to exactly these logs"
+    parts = [part_of_log(log.about) for log in logs]
+    for m, own in zip(saved, fitted_to, strict=True):
+        used = _parts_in(m, "logs")
+        if len(own) != len(logs) or len(used) != len(logs):
+            return "not all models were fitted to exactly these logs"
+        if any((a.t_from, a.t_to) not in [(b.t_from, b.t_to) for b in used if b.same_file(a)] for a in parts):
+            return "a model was fitted to another part of a compared log"
     if any(m.reml for m in saved):
         return "a model was fitted with REML, whose noise is not that of the largest likelihood (fit with --no-reml)"
     if any(m.model.second_order for m in saved):

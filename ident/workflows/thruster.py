@@ -61,7 +61,7 @@ from seatrial.ident.data import (
     load_runs,
     within_window,
 )
-from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
+from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, fix_parameters, profile
 from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.models import TURNS_INSIDE, thruster_model
 from seatrial.ident.numerics import Array
@@ -120,6 +120,8 @@ class ThrusterRequest:
         Whether to fit even if the checks find faults that make a fit meaningless.
     window
         Interval of time of the logs to fit: one for all, or one for each.
+    fixed
+        Values to which parameters are fixed, by name and in the parameters' units.
     """
 
     logs: Sequence[Path]
@@ -130,6 +132,7 @@ class ThrusterRequest:
     profiles: Sequence[str] = ()
     despite_faults: bool = False
     window: TimeWindows = WHOLE
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -222,8 +225,8 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     Raises
     ------
     SeatrialError
-        If the logs lack signals, if they have faults that make a fit meaningless (unless ``despite_faults``), or if an
-        option does not apply to them.
+        If the logs lack signals, if they have faults that make a fit meaningless (unless ``despite_faults``), if an
+        option does not apply to them, or if the model lacks a fixed parameter or cannot have its value.
     """
     name, profiles = request.name, request.profiles
     loaded = load_runs(request.logs, "estimation", request.window, device_faults=device_faults)
@@ -231,7 +234,12 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     loaded = [with_findings(log, {}, request.despite_faults) for log in loaded]  # no sides: a bench does not turn
     options, horizon = request.estimation, request.estimation.horizon
     if is_static(loaded, name):
-        asked = {"--robust": options.outlier_model, "--profile": profiles, "--horizon": horizon is not None}
+        asked = {
+            "--robust": options.outlier_model,
+            "--profile": profiles,
+            "--horizon": horizon is not None,
+            "--fix": request.fixed,
+        }
         _refuse_options(request.logs[0], [option for option, is_given in asked.items() if is_given])
         return static_curve(loaded, request, command, reporter)
     check_horizon(horizon, loaded)
@@ -250,9 +258,10 @@ def fit_thruster(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     model = thruster_model(force=has_force)
     check_names(model, profiles, len(loaded))
     records = [_thruster_record(model, x, name) for x in loaded]
-    if shaft_guess(records)[0] > model.parameter("tau").bounds[1]:
+    if request.fixed.get("tau", shaft_guess(records)[0]) > model.parameter("tau").bounds[1]:
         model = thruster_model("slow", force=has_force)
         records = [_thruster_record(model, x, name) for x in loaded]
+    model, _ = fix_parameters(model, None, request.fixed)
     reporter.progress(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
     fit, records = fit_with_delay_on_grid(
         model, records, lambda m: [_thruster_record(m, x, name) for x in loaded], options

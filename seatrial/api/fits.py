@@ -425,7 +425,7 @@ class FittedResult(FitReport):
             for j, output in enumerate(self.fitted.model.outputs):
                 e = view.run.standardised[:, j]
                 if np.isfinite(e).any():
-                    by_channel[output.name] = Series(view.record.t[np.isfinite(e)], e[np.isfinite(e)])
+                    by_channel[output.name] = Series(view.record.t_log[np.isfinite(e)], e[np.isfinite(e)])
             found[view.record.name] = by_channel
         return found
 
@@ -761,7 +761,7 @@ def vehicle_request(
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     given = known_options(options, FitOptions)
-    _check_parameters(given)
+    check_parameters(given)
     if not isinstance(model, str | Path):
         raise SeatrialError(
             f"model: {shortened(model)} is no name of a model; give a name, such as 'horizontal:command', the path of "
@@ -776,7 +776,7 @@ def vehicle_request(
     return VehicleRequest(logs, validation, Path(), how, source, window=window, **given), progress
 
 
-def _check_parameters(given: Mapping[str, Any]) -> None:
+def check_parameters(given: Mapping[str, Any]) -> None:
     """Check the options with values of parameters (``fixed``, ``initial``, ``priors``), if they are in ``given``.
 
     Raises
@@ -845,7 +845,7 @@ def diagnose(
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
 
     given = known_options(options, DiagnosisOptions)
-    _check_parameters(given)
+    check_parameters(given)
     messages = Messages(given.pop("progress", None))
     estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
     if "effects_file" in given:
@@ -978,8 +978,9 @@ def _prediction(
 ) -> Prediction:
     """Return the samples and predictions of a channel of a record, from the prediction errors at its sample times.
 
-    `output` is the channel in the model. `t` (n,) are the times of the samples [s]. `error` (n,) is measured minus
+    `output` is the channel in the model. `t` (n,) are the times of the samples [s] in the record; those
+    of the result count from the start of the log. `error` (n,) is measured minus
     predicted, and `sd` (n,) its predicted standard deviation, both in the unit of the channel.
     """
     measured = record.y[np.searchsorted(record.t, t), record.outputs.index(output.name)]
-    return Prediction(t, measured, measured - error, sd, output.unit)
+    return Prediction(t + record.t_from, measured, measured - error, sd, output.unit)

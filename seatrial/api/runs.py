@@ -31,6 +31,7 @@ from seatrial.api.fits import (
     FittedResult,
     FittedVehicle,
     Logs,
+    check_parameters,
     known_options,
     model_path,
     window_of,
@@ -69,6 +70,8 @@ class ThrusterOptions(TypedDict, total=False):
         Name of the thruster in the rig; needed if the logs have several thrusters.
     settle : float
         Time after each change of command that is left out from means of the force [s], 1.5 s by default.
+    fixed : dict of str to float
+        Parameters to hold at a known value, by name, in SI units: for example ``{"tau": 0.0}``.
     profiles : sequence of str
         Names of the parameters whose profile likelihood is computed.
     outlier_model : bool
@@ -86,6 +89,7 @@ class ThrusterOptions(TypedDict, total=False):
 
     name: str
     settle: float
+    fixed: Mapping[str, float]
     profiles: Sequence[str]
     outlier_model: bool
     reml: bool
@@ -358,8 +362,8 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     logs : path, `Log` or sequence of them
         Bench logs. Of a `Log`, its own window is used.
     **options
-        `ThrusterOptions`, which ``help(st.ThrusterOptions)`` describes: name, settle, profiles, outlier_model, reml,
-        horizon, despite_faults, progress.
+        `ThrusterOptions`, which ``help(st.ThrusterOptions)`` describes: name, settle, fixed, profiles, outlier_model,
+        reml, horizon, despite_faults, progress.
 
     Returns
     -------
@@ -381,6 +385,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     from seatrial.ident.workflows.thruster import ThrusterFit, ThrusterRequest, fit_thruster
 
     given = known_options(options, ThrusterOptions)
+    check_parameters(given)
     if "settle" in given:
         check_number("settle", given["settle"], "s")
     reporter = Messages(given.pop("progress", None))

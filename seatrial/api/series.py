@@ -18,7 +18,7 @@ class Series(NamedTuple):
     Attributes
     ----------
     t : Array (n,)
-        Times [s] from the start of the record; of a simulation for given inputs, in the time ``t`` of the inputs.
+        Times [s] from the start of the log; of a simulation for given inputs, in the time ``t`` of the inputs.
     value : Array (n,)
         Values at these times.
     """

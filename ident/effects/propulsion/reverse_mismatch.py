@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from seatrial.ident.model import Effect, Parameter, Signals, share_in_words
+from seatrial.ident.model import ESTIMATED_CURVE, Effect, Parameter, Signals, share_in_words
 
 
 def lose(s: Signals) -> None:
@@ -23,7 +23,7 @@ def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
     """
     left, right = (share_in_words(1 - value, se) for value, se in (estimates["rho_left"], estimates["rho_right"]))
     return (
-        f"in reverse the left thruster gives {left} % of the thrust of the estimated curve (c1 - c2), the right one "
+        f"in reverse the left thruster gives {left} % of the thrust of {ESTIMATED_CURVE} (c1 - c2), the right one "
         f"{right} %"
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals, share_in_sentence
+from seatrial.ident.model import ESTIMATED_CURVE, Effect, Parameter, Signals, share_in_sentence
 
 
 def lose(s: Signals) -> None:
@@ -24,6 +24,6 @@ EFFECT = Effect(
     requires=("n", "f"),
     alternatives=("dead-band", "reverse-mismatch", "mismatch", "thruster-interaction"),
     in_words=share_in_sentence(
-        "rho_rev", "in reverse a thruster gives {} % of the thrust of the estimated curve (c1 - c2)", left=True
+        "rho_rev", f"in reverse a thruster gives {{}} % of the thrust of {ESTIMATED_CURVE} (c1 - c2)", left=True
     ),
 )

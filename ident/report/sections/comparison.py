@@ -30,7 +30,7 @@ from seatrial.ident.results import (
     Verdict,
 )
 
-TIME = "time since the start of the record [s]"
+TIME = "time since the start of the log [s]"
 MARKS: dict[ComparisonVerdict, tuple[str, str]] = {
     "better": ("▼ ", "good"),
     "worse": ("▲ ", "bad"),

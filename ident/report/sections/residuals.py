@@ -175,7 +175,7 @@ def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plo
     if not traces:
         return None
     band = [_horizontal_line(level) for level in (-drawing.Z95, drawing.Z95)]
-    figure = drawing.single(traces, "time since the start of the record [s]", shapes=band, hovermode="closest")
+    figure = drawing.single(traces, "time since the start of the log [s]", shapes=band, hovermode="closest")
     return canvas.plot(figure, 210, _plot_label("Innovations over time", row, tab), "Standardised innovations")
 
 

@@ -25,7 +25,7 @@ from seatrial.ident.results import (
     disturbance_reason,
 )
 
-TIME = "time since the start of the record [s]"
+TIME = "time since the start of the log [s]"
 
 
 def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:

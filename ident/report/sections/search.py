@@ -271,7 +271,7 @@ def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) 
     panels = [p for row in forces if (p := _force_panel(canvas, row))]
     if not panels:
         return []
-    figure, height = drawing.stacked(panels, "time since the start of the record [s]")
+    figure, height = drawing.stacked(panels, "time since the start of the log [s]")
     return [Grid([canvas.plot(figure, height, f"Residual forces over time, {tab.title}")], 320)]
 
 

@@ -443,6 +443,17 @@ def test_a_command_that_is_not_repeated_times_out(folder: Path) -> None:
         import_files(csv_map, files, force=True)
 
 
+def test_times_of_one_signal_are_shifted(folder: Path) -> None:
+    """A logger that stores the command after the shaft speed writes it one row late."""
+    rows = "t,cmd,heading\n" + "".join(f"{1 + 0.1 * k:.1f},{0.1 * k:.1f},{k}\n" for k in range(6))
+    csv_map, files = write(folder, rows)
+    csv_map.write_text(csv_map.read_text() + "time_shift = -0.1\n")
+    (out,) = import_files(csv_map, files)
+    (t_command, _), (t_heading, _) = values(out, "n_left"), values(out, "psi")
+    assert len(t_command) == len(t_heading) == 6
+    np.testing.assert_allclose(np.subtract(t_heading, t_command), 0.1, atol=1e-9)
+
+
 def test_repeats_that_are_left_out_extend_a_command(folder: Path) -> None:
     rows = "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},0.5,1\n" for k in (0, 1, 2, 3, 9, 10))
     csv_map, files = write(folder, rows, csv='repeats = "drop"')

@@ -43,8 +43,38 @@ def test_one_step_shows_the_delay(delay: float, level: str, code: str) -> None:
     assert (found_level, named) == (level, code)
     late = ", later than 0.6 s" if level == "fault" else ""
     # The delay is rounded to the step of the grid.
-    known = "(steps of 0.05 s, interval unknown)"
-    assert text == f"the shaft follows {delay + 0.05:.2f} s after its command {known}{late}"
+    assert text == f"the shaft follows its command after about {delay + 0.05:.2f} s (tried in steps of 0.05 s){late}"
+
+
+def stairs(late_rows: int, jitter: float = 0.0, row: float = 0.05) -> dict[str, Channel]:
+    """Return a table of command and shaft speed, with the command so many rows late, or up to ``jitter`` s before."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 100.0, row)
+    levels = rng.permutation(np.linspace(-0.9, 0.9, 19))
+    starts = 5.0 * np.arange(1, 20) - jitter * rng.random(19)
+    n, level = np.zeros(t.size), np.zeros(t.size)
+    for k, start in enumerate(starts):
+        after = t > start
+        n += (levels[k] - (levels[k - 1] if k else 0.0)) * np.where(after, -np.expm1(-(t - start) / 0.17), 0.0)
+        level[t >= start - 1e-9] = levels[k]
+    level = np.append(np.zeros(late_rows), level[: level.size - late_rows])
+    return {"n_cmd_left": Channel(t, level), "n_left": Channel(t.copy(), n + 0.002 * rng.standard_normal(t.size))}
+
+
+@pytest.mark.parametrize(
+    ("c", "late"),
+    [(stairs(1), True), (stairs(0), False), (stairs(0, 0.05), False), (stairs(1, row=0.5), False)],
+    ids=["one row late", "simultaneous", "sent between rows", "slow rows"],
+)
+def test_shaft_that_moves_in_the_row_of_its_command(c: dict[str, Channel], late: bool) -> None:
+    (named,) = (f for f in check_shafts(c) if f.check == "delay")
+    assert (named.code == "command-one-row-late") is late
+    if late:
+        assert "moved by 25 % of the step (median of 19 steps)" in named.text
+        assert "probably one row (0.05 s) apart" in named.text
+        assert "time_shift = -0.05" in named.advice
+    # Telemetry with stamps of its own is no table with one row for both.
+    moved = Channel(c["n_left"].t + 0.02, c["n_left"].value)
+    assert "command-one-row-late" not in {f.code for f in check_shafts(c | {"n_left": moved})}
 
 
 @pytest.mark.parametrize("seconds", [2.0, 4.0])

@@ -200,7 +200,7 @@ def test_time_window_gives_the_same_rows_and_the_rest_is_not_read(
     assert part.device_faults == ()
     assert sum(read) < 0.6 * path.stat().st_size
     assert part.about["duration"] == pytest.approx(30.0)
-    assert (part.about["path"], part.about["sha256"]) == ("a.mcap[60:90]", "")
+    assert (part.about["path"], part.about["sha256"]) == ("a.mcap[60:90]", whole.about["sha256"])
     rows, wanted = (
         make_record(horizontal_model(), replace(loaded.run, t_from=60.0, t_to=90.0), 10.0) for loaded in (part, whole)
     )

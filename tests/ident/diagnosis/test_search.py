@@ -395,10 +395,20 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     # The search ended with an added effect, and not by --max-effects.
     small = diagnosis_caveat(replace(found, rounds=rounds[:1]))
     assert small is not None
-    assert ("The search did not add it, because beside the effects that were found too little is left to explain, and "
-            "a larger --max-effects tries no more.") in small  # fmt: skip
+    assert small == (
+        "1 more candidate passes its score test: steady wind. Nothing has to be done about this: it explains too "
+        "little to be tried, and a larger --max-effects tries no more."
+    )
+    several = str(diagnosis_caveat(replace(found, rounds=rounds[:1], remaining=many, uncertainty=blank())))
+    assert several.startswith("5 more candidates pass their score tests; the strongest are ")
+    assert several.endswith("an estimate.")
+    for word in ("still find", "To find out", "in full"):
+        assert word not in several
     note = next(n for n in _notes(replace(found, rounds=rounds[:1]), GivenModel("m.toml")) if "still pass" in n)
-    assert "none of them was added: steady wind. They were not tried: beside the effects that were found" in note
+    assert (
+        "none of them was added: steady wind. Nothing has to be done about this: each of them explains too little"
+        in note
+    )
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
     next_step = "The recommended experiment (Next experiment, in the report) may decide this."
     doubt = "It is not certain that the missing effect is hump: a lag resembles it."

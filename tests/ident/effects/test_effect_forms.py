@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,12 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal_model
 from seatrial.ident.export.linearisation import linearise
+from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.model.structure import Model, Signals
 from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.results.diagnosis import in_words
 from tests.missions import boat_with, channels_of, sail
 
 
@@ -521,6 +524,12 @@ def test_losses_of_thrust_are_told_by_side() -> None:
         "in reverse the left thruster gives 98 ± 4 % of the thrust of the estimated curve (c1 - c2), the right one "
         "45 ± 3 %"
     )
+    model = horizontal_model("shaft") + catalogue()["reverse-thrust"]
+    for origin, curve in ((ParameterOrigin.MEASURED, "given"), (ParameterOrigin.BUILT_IN, "estimated")):
+        known = (replace(model.parameter(n).known(x, 0.1, origin), free=True) for n, x in (("c1", 40.0), ("c2", 1.0)))
+        fit = SimpleNamespace(model=model.replace_parameters(*known), estimate=lambda name: (0.2, 0.03), flags=())
+        words = in_words(catalogue()["reverse-thrust"], SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+        assert words == f"in reverse a thruster gives 80 ± 3 % of the thrust of the {curve} curve (c1 - c2)"
     told = catalogue()["fouling"].in_words
     assert told is not None
     assert told({"foul_left": (0.01, 0.03), "foul_right": (0.4, 0.02), "t_foul": (210.0, 2.0)}) == (

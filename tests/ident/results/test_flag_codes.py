@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 
-from seatrial.ident.estimation.given_priors import given_prior_flags
+from seatrial.ident.estimation.given_priors import LARGER_ERROR, agrees_with_bench, given_prior_flags
 from seatrial.ident.estimation.standard_errors import (
     AT_BOUND,
     AUTOCORRELATED_TOO_LONG,
@@ -25,6 +25,15 @@ from seatrial.ident.results.tables import _flag_fields
 def given(estimate: tuple[float, float], weight: float) -> list[str]:
     mass = Parameter("m_u", 30.0, "kg", "mass", prior=(30.0, 2.0), origin=ParameterOrigin.PRIOR)
     return [flag.code for flag in given_prior_flags(mass, estimate, weight)]
+
+
+def test_value_of_a_bench_test_that_a_fit_keeps_has_no_flag() -> None:
+    c1 = Parameter("c1", 41.8, "N", "thrust", prior=(41.8, 0.03), origin=ParameterOrigin.MEASURED)
+    assert agrees_with_bench(c1, 41.81)
+    for error in (0.03, 0.5):  # the second one is larger than that of the bench
+        assert given_prior_flags(c1, (41.81, error), 1.0) == ()
+    assert [flag.code for flag in given_prior_flags(c1, (41.9, 0.5), 1.0)] == ["prior", "larger error"]
+    assert len(LARGER_ERROR) < 100
 
 
 def row(*flags: Flag) -> ParameterRow:

@@ -14,7 +14,8 @@ from seatrial.ident.estimation.given_priors import exceeded_prior, given_prior_f
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.export.formats import export
-from seatrial.ident.model import Parameter, ParameterOrigin
+from seatrial.ident.model import Flag, Parameter, ParameterOrigin
+from seatrial.ident.results.answers import prior_notes
 from seatrial.ident.results.parts import FitSummary, ParameterRow
 from seatrial.ident.results.tables import fit_summary
 from tests.missions import boat_log, boat_with
@@ -52,7 +53,7 @@ def test_a_larger_error_is_explained_and_a_smaller_one_is_not(fitted: st.FittedV
     summary = fit_summary(with_error(fit, "c1", 1.2), {})
     flag = row_of(summary, "c1").flag or ""
     assert flag.startswith("given 40 ± 2 N; the data have ")
-    assert " ± 2.4 N; its standard error is larger than the given one, because it also contains what" in flag
+    assert f" ± 2.4 N; {LARGER}, as it contains what the model does not explain" in flag
     assert "of its information comes from its prior" not in flag  # the line has the share of the data
     assert [row.name for row in summary.parameters if LARGER in (row.flag or "")] == ["c1"]
 
@@ -92,6 +93,19 @@ def test_an_exported_model_explains_a_larger_error(fitted: st.FittedVehicle, tar
         header = " ".join(text.replace("#", " ").replace("*", " ").split())
         explained = "Standard error larger than that of the prior: c1 (2.4 > 2), because it also contains what the"
         assert (explained in header) == (factor > 1.0)
+
+
+def test_a_kept_value_of_the_bench_has_a_note_in_place_of_a_flag(fitted: st.FittedVehicle) -> None:
+    fit = fitted.fitted.fit
+    value, _ = fit.estimate("c1")
+    c1 = replace(fit.model.parameter("c1"), prior=(value, 2.0), origin=ParameterOrigin.MEASURED)
+    measured = replace(fit, model=fit.model.replace_parameters(c1), flags=(("c1", Flag("prior", "99 % of its")),))
+    for factor in (1.0, 1.2):
+        changed = with_error(measured, "c1", factor)
+        assert row_of(fit_summary(changed, {}), "c1").flag is None
+        notes = [note for note in prior_notes(changed) if "larger than on the bench" in note]
+        assert notes == ["The standard error of c1 is larger than on the bench: what the model does not explain is "
+                         "included."] * (factor > 1.0)  # fmt: skip
 
 
 def test_a_built_in_prior_does_not_count(fitted: st.FittedVehicle) -> None:

@@ -13,11 +13,11 @@ from seatrial.daq.checks import Finding
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.samples import Esc
 from seatrial.ident.checks import check_signals, device_faults
-from seatrial.ident.data.loading import load_run
+from seatrial.ident.data.loading import LoadedLog, TimeWindow, load_run
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.workflows import check
 from seatrial.ident.workflows.check import check_first, require_thrust_and_length
-from tests.missions import boat_with, sail, write_log
+from tests.missions import boat_log, boat_with, sail, write_log
 
 
 def test_stuck_telemetry_of_a_shaft_refuses_only_models_with_shaft_speeds(tmp_path: Path) -> None:
@@ -108,3 +108,19 @@ def test_logs_without_thrust_or_of_a_few_seconds_are_refused(tmp_path: Path) -> 
     held = {n: replace(c, t=c.t[[0, -1]], value=0.0 * c.value[[0, -1]] + [0.5, 0.0]) for n, c in commands.items()}
     part = replace(run, channels={**run.channels, **held}, t_from=start + 20.0, t_to=start + 40.0)
     require_thrust_and_length([part], model, False)
+
+
+def test_parts_of_one_log_that_overlap_are_refused_and_others_are_not(tmp_path: Path) -> None:
+    """A part is read with a minute of the log on both sides, which does not count as an overlap."""
+    path = boat_log(tmp_path / "run.mcap", boat_with(None, 3), 200.0, 103)
+    model = horizontal_model("shaft")
+
+    def parts(*spans: tuple[float, float]) -> list[LoadedLog]:
+        return [load_run(path, "estimation", TimeWindow(*s), device_faults=device_faults) for s in spans]
+
+    checked, _ = check_first(parts((0.0, 100.0), (100.0, 200.0)), [], model, False)
+    assert not [f for log in checked for f in log.about["findings"] if f["code"] == "log-copied"]
+    with pytest.raises(SeatrialError, match=r"overlaps with run\.mcap\[0:110\] for 10 s.*\[log-copied\]"):
+        check_first(parts((0.0, 110.0), (100.0, 200.0)), [], model, False)
+    with pytest.raises(SeatrialError, match=r"\[log-copied\]"):
+        check_first(parts((0.0, 100.0)), [load_run(path, "validation", device_faults=device_faults)], model, False)

@@ -24,7 +24,7 @@ from seatrial import command_line
 from seatrial.api.comparison import Comparison
 from seatrial.api.messages import text_of
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
-from seatrial.ident.data.loading import LoadedLog, load_all
+from seatrial.ident.data.loading import LoadedLog, TimeWindow, load_all, load_run
 from seatrial.ident.data.record import Channel, LogSegment, build_record, make_record
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine import quick_compilation
@@ -69,6 +69,7 @@ from seatrial.ident.workflows.comparison_likelihood import (
     _is_nested,
     _n_estimates,
     log_score,
+    used_logs,
     why_not_comparable,
 )
 from seatrial.ident.workflows.dynamics import course_at_speeds
@@ -521,17 +522,17 @@ def test_seconds_that_have_most_of_the_errors_are_named() -> None:
     event = np.where((t >= 286.0) & (t < 289.0), 40.0, 1.0)
     own = [{"run": {"r": errors(t, e), "psi": errors(t, e), "x": errors(t, np.full(t.size, 2.0))}}
            for e in (np.full(t.size, 2.0), event)]  # fmt: skip
-    (note,) = concentration_notes(own, labels(2), 10.0, [1])
+    (note,) = concentration_notes(own, labels(2), 10.0, [1], {"run": 10.0})
     assert note.startswith(
-        "A small part of the time has most of the squared error 10 s ahead: (b) 94 % of that of r, psi in 285 to 290 s "
-        "of run (since the start of the record). Without these seconds, of the errors over all channels that of (b) is "
+        "A small part of the time has most of the squared error 10 s ahead: (b) 94 % of that of r, psi in 295 to 300 s "
+        "of run (since the start of the log). Without these seconds, of the errors over all channels that of (b) is "
         "0.63 times that of (a). "
     )
-    (decided,) = concentration_notes(own, labels(2), 10.0, [])
+    (decided,) = concentration_notes(own, labels(2), 10.0, [], {})
     assert "Without" not in decided
-    (alone,) = concentration_notes(own[1:], labels(1), 10.0, [])
+    (alone,) = concentration_notes(own[1:], labels(1), 10.0, [], {})
     assert ": 94 % of that of r, psi in 285 to 290 s of run (" in alone
-    assert concentration_notes(own[:1], labels(1), 10.0, []) == []
+    assert concentration_notes(own[:1], labels(1), 10.0, [], {}) == []
 
 
 def test_note_on_the_errors_is_in_every_output(
@@ -689,34 +690,30 @@ def test_short_logs_have_a_gain_without_an_interval() -> None:
     assert (found.low, found.high, found.verdict) == (None, None, "no-interval")
 
 
-def log(sha256: str | None) -> LoadedLog:
-    return LoadedLog(LogSegment("run1", {}), {"path": "run1.mcap", "sha256": sha256}, {}, None)
+def log(times: str) -> LoadedLog:
+    return LoadedLog(LogSegment("run1", {}), {"path": f"run1.mcap{times}", "sha256": "ab" * 32}, {}, None)
 
 
 @pytest.mark.parametrize(
-    ("change", "sha256", "score", "reason"),
+    ("change", "times", "score", "reason"),
     [
-        ({}, "ab" * 32, SCORE, ""),
-        ({}, "ab" * 32, None, "do not predict the same samples"),
-        ({}, None, SCORE, "only a part of a log is used"),
-        (
-            {"provenance": {"logs": ["a.mcap sha256:abab", "b.mcap sha256:cdcd"]}},
-            "ab" * 32,
-            SCORE,
-            "exactly these logs",
-        ),
-        ({"reml": True}, "ab" * 32, SCORE, "fit with --no-reml"),
-        ({"second": True}, "ab" * 32, SCORE, "fit with --no-second-order"),
+        ({}, "", SCORE, ""),
+        ({}, "", None, "do not predict the same samples"),
+        ({}, "[0:60]", SCORE, "fitted to another part of a compared log"),
+        ({"provenance": {"logs": ["run1.mcap[0:60] sha256:abababababababab"]}}, "", SCORE, "another part of a"),
+        ({"provenance": {"logs": ["a.mcap sha256:abab", "b.mcap sha256:cdcd"]}}, "", SCORE, "exactly these logs"),
+        ({"reml": True}, "", SCORE, "fit with --no-reml"),
+        ({"second": True}, "", SCORE, "fit with --no-second-order"),
     ],
 )
 def test_reason_for_no_information_criteria(
-    change: dict[str, Any], sha256: str | None, score: LogScore | None, reason: str
+    change: dict[str, Any], times: str, score: LogScore | None, reason: str
 ) -> None:
     model = horizontal_model("shaft")
     saved = SavedModel(model, {}, {}, provenance={"logs": ["run1.mcap sha256:abababababababab"]})
     other = replace(saved, model=replace(model, second_order=change.get("second", False)))
     other = replace(other, **{n: v for n, v in change.items() if n != "second"})
-    found = why_not_comparable((saved, other), (("run1",), ("run1",)), [log(sha256)], score)
+    found = why_not_comparable((saved, other), (("run1",), ("run1",)), [log(times)], score)
     assert reason in found
     assert bool(found) is bool(reason)
 
@@ -832,6 +829,53 @@ def test_intervals_are_not_tested_by_the_log_that_widened_them(
     assert seen.models[0].widened_by == ("run3",)
     assert [w.code for w in seen.warnings] == ["intervals-from-compared-log"]
     assert not st.compare(tmp_path, logs[1]).result.warnings
+
+
+def test_part_of_a_log_that_a_model_was_fitted_to_is_recognised(logs: list[Path], tmp_path: Path) -> None:
+    options: dict[str, Any] = {"model": "horizontal:shaft", "fixed": {"c1": 40.0, "c2": 1.1}, "score_tests": False}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        fitted = st.fit(st.open_log(logs[1], start=10.0, end=60.0), **options)
+    saved = fitted.save(tmp_path / "fit")
+    digest = hashlib.sha256(logs[1].read_bytes()).hexdigest()
+    assert [(x.path, x.sha256) for x in fitted.result.logs] == [("run2.mcap[10:60]", digest)]
+    assert digest[:10] in render(fitted.result)
+    line = f"run2.mcap[10:60] sha256:{digest[:16]}"
+    assert load_model(saved / "model.toml").provenance["logs"] == [line]
+    # All times are those of the log, from 10 s on.
+    times = [x.t for x in (*fitted.result.traces, *fitted.result.inputs, *fitted.result.residuals)]
+    times += [x.t_horizon for x in fitted.result.traces]
+    for found_series in (fitted.residuals(), fitted.predict(), fitted.simulate()):
+        times += [series.t for by_channel in found_series.values() for series in by_channel.values()]
+    with pytest.warns(SeatrialWarning, match="The model was fitted to run2"):
+        seen = st.compare(saved, st.open_log(logs[1], start=10.0, end=60.0))
+    for by_horizon in seen.predictions().values():
+        times += [p.t for by_log in by_horizon.values() for by_name in by_log.values() for p in by_name.values()]
+    times += [series.t for by_name in seen.residuals().values() for series in by_name.values()]
+    assert min(float(t[0]) for t in times) == pytest.approx(10.0, abs=0.2)
+    assert max(float(t[-1]) for t in times) == pytest.approx(60.0, abs=0.2)
+    (tmp_path / "other").mkdir()
+    renamed = shutil.copy(logs[1], tmp_path / "other" / "moved.mcap")
+    same_name = shutil.copy(logs[2], tmp_path / "other" / "run2.mcap")
+    cases: list[tuple[Path, TimeWindow, tuple[str, ...], int]] = [
+        (logs[1], TimeWindow(), ("run2",), 0),
+        (Path(renamed), TimeWindow(), ("moved",), 0),
+        (logs[1], TimeWindow(40.0, 90.0), ("run2",), 0),
+        (logs[1], TimeWindow(60.0, 110.0), (), 1),
+        (Path(same_name), TimeWindow(), (), 0),
+    ]
+    for path, window, used, n_notes in cases:
+        found = compare_models(CompareRequest([saved / "model.toml"], [path], (2.0,), window=window), "", Kept())
+        assert found.models[0].fitted_to == used
+        assert ("compared-on-fitted-log" in [w.code for w in found.warnings]) is bool(used)
+        assert len([n for n in found.notes if "fitted to another part of run2 (10 s to 60 s)" in n]) == n_notes
+    # A model file of an earlier version has no hash of a part of a log.
+    old = tmp_path / "old" / "model.toml"
+    shutil.copytree(saved, old.parent)
+    old.write_text(old.read_text(encoding="utf-8").replace(line, "run2.mcap[10:60] sha256:"), encoding="utf-8")
+    for window, used in ((TimeWindow(), ("run2",)), (TimeWindow(60.0), ())):
+        model = load_model(old)
+        assert used_logs(model, [load_run(logs[1], "compared", window)]) == used
 
 
 def test_wrong_intervals_are_only_named_if_the_test_says_so() -> None:

@@ -140,3 +140,26 @@ def test_a_window_of_a_bench_log_is_fitted_alone(tmp_path: Path) -> None:
     words = ["thruster", str(spoilt_log), "--from", f"{begin}", "--to", f"{until}", "--out", str(tmp_path / "out")]
     CliRunner().invoke(ident, words, catch_exceptions=False)
     assert load_model(tmp_path / "out/model.toml").model.values["c1"] == pytest.approx(same.params["c1"], rel=1e-4)
+
+
+def test_known_parameters_are_fixed(log: Path, tmp_path: Path) -> None:
+    """The advice of a parameter at its bound is to fix it, so that the command has the option."""
+    known = {"tau": 0.06, "d": 0.03, "c1": 38.0}
+    words = [word for n, value in known.items() for word in ("--fix", f"{n}={value}")]
+    done = CliRunner().invoke(ident, ["thruster", str(log), *words, "--out", str(tmp_path)], catch_exceptions=False)
+    assert done.exit_code == 0
+    saved = load_model(tmp_path / "model.toml").model
+    for name, value in known.items():
+        p = saved.parameter(name)
+        assert (p.value, p.free, p.origin) == (value, False, "given")
+    rows = {
+        p["name"]: p for p in json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))["fit"]["parameters"]
+    }
+    assert all(rows[n]["se"] is None for n in known)
+    assert rows["c2"]["se"] > 0.0
+    found = st.thruster(log, fixed={"c1": 38.0, "c2": 1.0})
+    assert "The thruster gives 39 N forward, as given, and 37 N in reverse, as given, at full speed" in found.answer
+    with pytest.raises(SeatrialError, match="fixed: tau: 'x' is no number"):
+        st.thruster(log, fixed={"tau": "x"})  # type: ignore[dict-item]
+    with pytest.raises(SeatrialError, match="model thruster"):
+        st.thruster(log, fixed={"m_u": 1.0})
