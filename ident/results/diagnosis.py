@@ -45,6 +45,7 @@ from seatrial.ident.results.answers import (
     mass_notes,
     not_converged,
     outlier_lines,
+    plus_minus,
     poor_channel,
     prior_notes,
     short_data_warnings,
@@ -67,6 +68,7 @@ from seatrial.ident.results.tables import (
     error_tables,
     finite,
     fit_summary,
+    format_number,
     inertial_curves,
     prediction_change,
     residual_rows,
@@ -80,6 +82,7 @@ WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is 
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 CLEAR_CRITERION = 10.0  # of a refit, from which its data clearly support it (Kass and Raftery 1995)
 MOST_NEAREST = 2  # effects that are named if none was added
+MOST_SIZES = 2  # sizes of an effect in a sentence
 MOST_REMAINING = 4  # candidates that still pass the score test and are given by name
 AFTER_CURVE = "after a curve, no second curve is tried"
 NOT_TRIED = "beside the effects that were found too little is left to explain, and a larger --max-effects tries no more"
@@ -387,41 +390,95 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
     strongest = min(last.scores, key=lambda s: s.p)
     if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
+    nearest = _nearest_effects(last, strongest.name)
     return (
         f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
-        f"(p = {strongest.p:.1g}), but no candidate explains the residuals: {why}. {_nearest_effects(last)}A score "
-        "test can find what the tests of whiteness and of the correlations with the inputs miss. Look at the residuals "
-        "in the report, or record longer runs."
+        f"(p = {strongest.p:.1g}), but no candidate explains the residuals: {why}. {nearest}A score test can "
+        "find what the tests of whiteness and of the correlations with the inputs miss. Give all logs of the boat "
+        "first, as further logs of the estimation or with --validate; if there are no others, record longer runs. Look "
+        "at the residuals in the report."
     )
 
 
-def _nearest_effects(search_round: Round) -> str:
-    """Return a sentence on the effects of the catalogue that come nearest in a round without an added effect.
+def _nearest_effects(search_round: Round, strongest: str) -> str:
+    """Return the sentences on the effects of the catalogue that come nearest in a round without an added effect.
 
     The estimation data clearly support them (a criterion above `CLEAR_CRITERION`), and the validation data neither
-    support nor contradict them. At most `MOST_NEAREST` are given, with their sizes in the rough fits and the t
-    statistics of their validation. The text ends with a space; it is empty if there is no such effect.
+    support nor contradict them. The `MOST_NEAREST` effects with the largest t statistics of their validation are given,
+    with their sizes in the rough fits. If the candidate ``strongest`` of the score tests is not among them, a sentence
+    says why. The text ends with a space; it is empty if no effect comes near.
     """
-    near = [
+    undecided = [
         r
         for r in search_round.refits
         if not r.nonparametric
         and r.outcome is Outcome.NOT_VALIDATED
         and r.validation_gain > 0
         and r.criterion > CLEAR_CRITERION
-    ][:MOST_NEAREST]
+    ]
+    near = sorted(undecided, key=lambda r: -r.t)[:MOST_NEAREST]
     if not near:
         return ""
-    sizes = [", ".join(filter(None, (in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
+    sizes = [", ".join(filter(None, (sizes_in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
     each = [f"{r.effect.title} ({size})" for r, size in zip(near, sizes, strict=True)]
     options = " ".join(f"--effect {r.effect.name}" for r in near)
+    left_out = "" if strongest in {r.effect.name for r in near} else _why_not_near(search_round, strongest)
     return (
         f"The effects that come nearest are {_joined_titles(each)}: the estimation data support them, and the "
         f"validation data are too few to decide. `seatrial ident vehicle {options}` estimates them with the model. "
         if len(near) > 1
         else f"The effect that comes nearest is {each[0]}: the estimation data support it, and the validation data are "
         f"too few to decide. `seatrial ident vehicle {options}` estimates it with the model. "
-    )
+    ) + left_out
+
+
+def _why_not_near(search_round: Round, name: str) -> str:
+    """Return the sentence why the strongest candidate of the score tests is not among the effects that come nearest.
+
+    ``name`` is the name of the candidate's score. The text ends with a space.
+    """
+    title = _score_titles(search_round)[name]
+    r = _refit_of(search_round.refits, name)
+    if r is None:
+        why = "it was not fitted in this round"
+    elif r.outcome is Outcome.NOT_VALIDATED and r.validation_gain > 0 and r.criterion > CLEAR_CRITERION:
+        why = f"its t is smaller, {r.t:.1f}" if not r.nonparametric else "it is a curve without a formula"
+    else:
+        why = _refit_clause(r)
+    return f"{title[0].upper()}{title[1:]} is not among them: {why}. "
+
+
+def _refit_of(refits: Iterable[Refit], name: str) -> Refit | None:
+    """Return the refit of the candidate whose score has this name, None if there is none.
+
+    The effect of a curve has the name of its score after the word "unknown".
+    """
+    return next((r for r in refits if name in (r.effect.name, r.effect.name.removeprefix("unknown "))), None)
+
+
+def _refit_clause(r: Refit) -> str:
+    """Return a clause: why the fit with an effect did not lead to its addition, with the numbers that decided it."""
+    data = f"the log-likelihood of the validation data {_rises(r.validation_gain)} (t = {r.t:.1f})"
+    match r.outcome:
+        case Outcome.NOT_SUPPORTED:
+            return f"the estimation data support it too little for its {counted(r.df, 'parameter')}"
+        case Outcome.NOT_VALIDATED if r.criterion > CLEAR_CRITERION:
+            return f"the validation data do not support it sufficiently: {data}"
+        case Outcome.NOT_VALIDATED:
+            return f"the estimation data hardly support its {counted(r.df, 'parameter')}, and {data}"
+        case Outcome.WORSE_PREDICTION:
+            return f"{data}, but the prediction is worse with it"
+        case Outcome.NO_BETTER_PREDICTION:
+            return f"{data}, but the prediction is no better with it"
+        case Outcome.SMALL:
+            return f"{data}, but its gain is small beside those of the effects found"
+        case _:
+            return f"{data}, but another effect of its round was preferred"
+
+
+def _rises(gain: float) -> str:
+    """Return how a log-likelihood changes by an effect: "rises by 44" or "falls by 3"."""
+    return f"{'rises' if gain >= 0 else 'falls'} by {abs(gain):.0f}"
 
 
 def _short_data_sentence(diagnosis: Diagnosis) -> str:
@@ -601,6 +658,27 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         return words
     limit = "is at the limit of this parameter" if len(stuck) == 1 else "are at the limits of these parameters"
     return "; ".join(filter(None, [words, f"{' and '.join(stuck)} {limit}, and so no estimate"]))
+
+
+def sizes_in_words(effect: Effect, fitted: FittedModel) -> str:
+    """Return the estimates of an effect as a clause: `in_words`, or its first sizes with their standard errors.
+
+    Sizes are the parameters that are zero without the effect. Of a parameter with a value for each run, no value is
+    given. The text is empty if there is no size.
+    """
+    words = in_words(effect, fitted)
+    sizes = [p.name for p in effect.parameters if p.value == 0.0 and not p.per_record]
+    if words or not sizes:
+        return words
+    rows = [row for row in effect_parameter_rows(effect, fitted) if row.name.removesuffix("/T") in sizes]
+    return " and ".join(_named_size(row) for row in rows[:MOST_SIZES])
+
+
+def _named_size(p: parts.EffectParameter) -> str:
+    """Return name, value, standard error and unit of a parameter for a sentence: ``x_g = 0.049 ± 0.007 m``."""
+    factor, unit = (degrees(1.0), "deg") if p.unit == "rad" else (1.0, p.unit)
+    size = plus_minus(factor * p.value, factor * p.se) if p.se else format_number(factor * p.value)
+    return f"{p.name} = {size} {unit}".rstrip()
 
 
 def _named_value(p: parts.EffectParameter) -> str:

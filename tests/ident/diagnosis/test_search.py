@@ -47,6 +47,7 @@ from seatrial.ident.results.diagnosis import (
     diagnosis_answer,
     diagnosis_caveat,
     reported_mismatches,
+    sizes_in_words,
     what_is_lacking,
 )
 from seatrial.ident.validation.prediction_errors import PredictionChange
@@ -358,8 +359,8 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
     )
     found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, ("wind",), refits, None),), (), ())
     assert (
-        "The effects that come nearest are wind (t = 0.9) and battery (t = 1.7): the estimation data support them, and "
-        "the validation data are too few to decide. `seatrial ident vehicle --effect wind --effect battery` estimates "
+        "The effects that come nearest are battery (t = 1.7) and wind (t = 0.9): the estimation data support them, and "
+        "the validation data are too few to decide. `seatrial ident vehicle --effect battery --effect wind` estimates "
         "them with the model. A score test can find" in diagnosis_answer(found, None, 10.0)
     )
     one = replace(found, rounds=(replace(found.rounds[0], refits=refits[2:]),))
@@ -368,6 +369,47 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
     )
     none = replace(found, rounds=(replace(found.rounds[0], refits=refits[3:]),))
     assert "nearest" not in diagnosis_answer(none, None, 10.0)
+    assert "Give all logs of the boat first, as further logs of the estimation or with --validate; if" in (
+        diagnosis_answer(found, None, 10.0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("wind", "said"),
+    [
+        (refit("wind", 11.0, gain=14.9, t=1.6), "nearest are wind (t = 1.6) and pull (t = 1.4): the estimation"),
+        (refit("wind", 11.0, gain=14.9, t=1.1), "the model. Wind is not among them: its t is smaller, 1.1. A"),
+        (
+            refit("wind", 7.0, gain=4.9, t=1.6),
+            "Wind is not among them: the estimation data hardly support its 1 parameter, and the log-likelihood "
+            "of the validation data rises by 5 (t = 1.6). A",
+        ),
+        (
+            refit("wind", 30.0, gain=-4.0, t=-1.0),
+            "Wind is not among them: the validation data do not support it sufficiently: the log-likelihood of "
+            "the validation data falls by 4 (t = -1.0). A",
+        ),
+        (None, "Steady wind is not among them: it was not fitted in this round. A"),
+    ],
+)
+def test_the_strongest_candidate_is_among_the_nearest_or_the_answer_says_why_not(wind: Any, said: str) -> None:
+    """Refits are in the order of a criterion that counts parameters, so that the wind with its six came last."""
+    scores = (Score("wind", 133.0, 1, 46.0, {}, {}, threshold=22.0),)
+    fits = [refit("pull", 32.0, gain=7.0, t=1.4), refit("line", 25.0, gain=11.0, t=1.2), *filter(None, [wind])]
+    refits = tuple(replace(r, outcome=Outcome.NOT_VALIDATED) for r in fits)
+    found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, ("wind",), refits, None),), (), ())
+    assert said in diagnosis_answer(found, None, 10.0)
+
+
+def test_nearest_effects_have_their_sizes() -> None:
+    """A coefficient is of no use without its size and sign."""
+    effect = Effect("drag", "drag", {}, (Parameter("X_rr", 0.0, "kg m"), Parameter("w", 0.2, "m")))
+    found = {"X_rr": (5.071, 1.159), "w": (0.3, 0.1)}
+    fit = blank(
+        model=blank(parameters=(), inputs=(), values={}), flags=(), records=("run1",),
+        estimate=staticmethod(lambda name, record=0: found[name]),
+    )  # fmt: skip
+    assert sizes_in_words(effect, blank(fit=fit)) == "X_rr = 5.1 ± 1.2 kg m"
 
 
 def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
