@@ -20,6 +20,7 @@ from seatrial.ident.diagnosis import (
     Refit,
     Round,
     ValidationMismatch,
+    contradicting_signs,
     detectable_sizes,
     is_immaterial,
     reason_without_experiment,
@@ -639,7 +640,8 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
 
     The function gets the estimates of all parameters of the model, in their units. Of a per-record parameter, the
     estimate of the first record is used. Parameters of the effect at their bounds are named, because their values are
-    no estimates. The text is empty if the effect has no such function and no parameter at its bound.
+    no estimates, and so are signs that contradict the title (`Effect.cannot_be_negative`). The text is empty if the
+    effect has no such function and no such parameter.
 
     Parameters
     ----------
@@ -651,6 +653,11 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
     words = ""
     if effect.in_words is not None:
         words = effect.in_words({p.name: fitted.fit.estimate(p.name) for p in fitted.fit.model.parameters})
+    wrong = contradicting_signs(effect, fitted.fit) if effect.cannot_be_negative else {}
+    if wrong:
+        words = words or " and ".join(_named_size(p) for p in effect_parameter_rows(effect, fitted) if p.name in wrong)
+        words += f", a sign that contradicts this name: {_joined_titles([*map(candidate_title, wrong.values())])} "
+        words += "has a similar form" if len(wrong) == 1 else "have similar forms"
     if not (effect.parameters and fitted.fit.flags):
         return words
     stuck = [_named_value(p) for p in effect_parameter_rows(effect, fitted) if p.at_bound]
