@@ -18,6 +18,7 @@ from seatrial.ident.diagnosis import (
     DiagnosisEvaluation,
     Outcome,
     Refit,
+    RemovedEffect,
     Round,
     ValidationMismatch,
     contradicting_signs,
@@ -287,7 +288,7 @@ def diagnosis_answer(
     poor : tuple of (str, float) or None
         Channel that the model predicts worse than by its mean value, and its fit (negative); None without one.
     """
-    sentences = [_missing_effects_sentence(diagnosis, prediction)]
+    sentences = [_missing_effects_sentence(diagnosis, prediction, horizon)]
     if poor is not None and not diagnosis.effects and diagnosis.rounds:
         sentences.append(
             f"But the model predicts one channel {horizon:g} s ahead worse than its mean value would: {poor[0]}, fit "
@@ -348,7 +349,9 @@ def _likelihood_sentence(diagnosis: Diagnosis, role: str) -> str:
     return f"One step ahead the {role} data support {them}: their log-likelihood rises with {_joined_titles(gains)}."
 
 
-def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:
+def _missing_effects_sentence(
+    diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float
+) -> str:
     """Return the sentences on the missing effects, or on why no effect was added.
 
     Without effects, the first of these that applies is stated: there are validation runs that the model does not fit
@@ -369,25 +372,24 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
         return _short_data_sentence(diagnosis) or (
             "No effect is missing: the data show neither an effect of the catalogue nor a nonparametric one."
         )
-    last = diagnosis.rounds[-1]
+    last, removed = diagnosis.rounds[-1], diagnosis.removed
     if diagnosis.untested:
         titles = _joined_titles([u.effect.title for u in diagnosis.untested])
         return (
             f"No effect is confirmed, but candidates that may be missing could not be fitted: {titles}. The warnings "
             "give the reasons."
         )
-    if immaterial := [r.effect.title for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
+    if immaterial := [r for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
+        titles = _joined_titles([r.effect.title for r in immaterial])
         return (
-            f"No effect of the catalogue improves the prediction: {_joined_titles(immaterial)} {do} a part of the "
-            f"residuals one step ahead, but the prediction is as good without {them}."
+            f"No effect of the catalogue improves the prediction: {titles} {do} a part of the residuals one step "
+            f"ahead, but the prediction is as good without {them}. {_removed_sentences(diagnosis, immaterial, horizon)}"
         )
     # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
-    why = (
-        "the validation data do not support the effects that were added"
-        if last.chosen is not None
-        else last.explanation
-    )
+    why = last.explanation
+    if last.chosen is not None:
+        why = "; ".join(f"{r.effect.title} was added and removed again: {_removal(r, diagnosis)}" for r in removed)
     strongest = min(last.scores, key=lambda s: s.p)
     if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
@@ -431,6 +433,49 @@ def _nearest_effects(search_round: Round, strongest: str) -> str:
         else f"The effect that comes nearest is {each[0]}: the estimation data support it, and the validation data are "
         f"too few to decide. `seatrial ident vehicle {options}` estimates it with the model. "
     ) + left_out
+
+
+def _removal(removed: RemovedEffect, diagnosis: Diagnosis) -> str:
+    """Return a clause: why an effect was removed again, with its gain on the validation data beside the others."""
+    data = f"the log-likelihood of the validation data {_rises(removed.validation_gain)} with it (t = {removed.t:.1f})"
+    return f"{removal_reason(removed, diagnosis.policy)}; {data}"
+
+
+def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], horizon: float) -> str:
+    """Return a sentence on each effect that the validation data support and that was left out, with its size.
+
+    ``horizon`` is that of the prediction [s].
+    """
+    found = []
+    for r in removed:
+        refit = _last_refit(diagnosis, r.effect.name)
+        size = "" if refit is None else sizes_in_words(refit.effect, refit.fitted)
+        use = f"; `seatrial ident vehicle --effect {r.effect.name}` estimates it with the model"
+        found.append(
+            f"The validation data support {r.effect.title}{f' ({size})' * bool(size)}: their log-likelihood "
+            f"{_rises(r.validation_gain)} (t = {r.t:.1f}). It is left out because the prediction {horizon:g} s ahead "
+            f"is no better with it{use * (r.effect.name in catalogue())}."
+        )
+    return " ".join(found)
+
+
+def _last_refit(diagnosis: Diagnosis, name: str) -> Refit | None:
+    """Return the last refit of a candidate in the search, by the name of its score; None if there is none."""
+    refits = (_refit_of(search_round.refits, name) for search_round in reversed(diagnosis.rounds))
+    return next(filter(None, refits), None)
+
+
+def _strongest_left_out(diagnosis: Diagnosis) -> str:
+    """Return the sentence why the strongest remaining candidate that was fitted is not in the model; "" without one."""
+    removed = {r.effect.name: r for r in diagnosis.removed}
+    for s in diagnosis.remaining:
+        refit, gone = _last_refit(diagnosis, s.name), removed.get(s.name)
+        if refit is not None:
+            size = sizes_in_words(refit.effect, refit.fitted)
+            why = _refit_clause(refit) if gone is None else f"it was removed again: {_removal(gone, diagnosis)}"
+            title = f"{candidate_title(s.name)}{f' ({size})' * bool(size)}"
+            return f"Of those that were fitted, the strongest is {title}: {why}."
+    return ""
 
 
 def _why_not_near(search_round: Round, name: str) -> str:
@@ -750,18 +795,27 @@ def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     """
     n, names = len(diagnosis.remaining), _remaining_names(diagnosis)
     which = f"; the strongest are {names}" if n > MOST_REMAINING else f": {names}"
-    none = "The search added none of them" if n > 1 else "The search did not add it"
+    kept = {r.effect.name for r in diagnosis.removed} & {s.name for s in diagnosis.remaining}
+    none = f"The search {'kept' if kept else 'added'} none of them"
+    if n == 1:
+        none = f"The search did not {'keep' if kept else 'add'} it"
     if _lacks_second_curve(diagnosis) and diagnosis.rounds[-1].chosen is not None:
         advice = "To try another curve, run `seatrial ident diagnose` with the model of this diagnosis."
+    elif _ended_by_removal(diagnosis):
+        advice = "To try them, run `seatrial ident diagnose` with the model of this diagnosis."
     elif recommended_experiment(diagnosis):
         advice = "To find out, record the recommended experiment (Next experiment, in the report), and diagnose again."
     else:
-        advice = "To find out, record longer and more varied runs, and diagnose again with their logs."
+        advice = (
+            "To find out, give all logs of the boat, or record longer and more varied runs, and diagnose again with "
+            "their logs."
+        )
     use = "The model can be used: its standard errors include how far such a candidate would shift an estimate."
     return [
         "The effects found do not explain the residuals in full: beside them the score tests still find "
         f"{counted(n, 'candidate')}{which}.",
         f"{none}, because {_why_not_added(diagnosis)}.",
+        *filter(None, [_strongest_left_out(diagnosis)]),
         *([use] if diagnosis.uncertainty is not None else []),
         advice,
     ]
@@ -1136,24 +1190,20 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
                     "model of this diagnosis."
                 )
             elif diagnosis.rounds[-1].chosen is not None:
-                again = f" They were not tried: {NOT_TRIED}."
+                again = f" They were not tried beside these effects: {_why_not_added(diagnosis)}."
             notes.append(
-                "These candidates still pass the score test after the last effect, but none of them was added: "
+                "These candidates still pass the score test after the last effect, but none of them is in the model: "
                 f"{_remaining_names(diagnosis)}.{again}"
             )
         elif diagnosis.removed:
             notes.append(
-                "These candidates pass the score test of the model without effects, but none of them was added: "
+                "These candidates pass the score test of the model without effects, but none of them is in the model: "
                 f"{_remaining_names(diagnosis)}."
             )
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
         why = diagnosis.rounds[-1].explanation
         notes.append(f"{why[0].upper()}{why[1:]}.")
-    notes += [
-        f"{r.effect.title} was added and removed again: {removal_reason(r, diagnosis.policy)} "
-        f"(its gain in log-likelihood of the validation data is {r.validation_gain:.0f}, t = {r.t:.1f})."
-        for r in diagnosis.removed
-    ]
+    notes += [f"{r.effect.title} was added and removed again: {_removal(r, diagnosis)}." for r in diagnosis.removed]
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
         notes += inertia_curve_notes([e.effect for e in diagnosis.effects])
@@ -1185,7 +1235,16 @@ def _why_not_added(diagnosis: Diagnosis) -> str:
     last = diagnosis.rounds[-1]
     if last.chosen is None:
         return last.explanation
-    return AFTER_CURVE if _lacks_second_curve(diagnosis) else NOT_TRIED
+    if _lacks_second_curve(diagnosis):
+        return AFTER_CURVE
+    if _ended_by_removal(diagnosis):
+        return f"it ended when it removed {_joined_titles([r.effect.title for r in diagnosis.removed])} again"
+    return NOT_TRIED
+
+
+def _ended_by_removal(diagnosis: Diagnosis) -> bool:
+    """Return whether the search ended with a removal, so that the candidates pass on a model that was not tried."""
+    return bool(diagnosis.removed) and diagnosis.rounds[-1].chosen is not None
 
 
 def _lacks_second_curve(diagnosis: Diagnosis) -> bool:

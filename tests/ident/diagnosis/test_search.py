@@ -421,8 +421,8 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     found = Diagnosis(after, after, rounds, left, (), attributions=certain, importances=(weight,))
     assert diagnosis_caveat(found) == (
         "The effects found do not explain the residuals in full: beside them the score tests still find 1 candidate: "
-        "steady wind. The search did not add it, because no candidate that passed could be fitted. To find out, record "
-        "longer and more varied runs, and diagnose again with their logs."
+        "steady wind. The search did not add it, because no candidate that passed could be fitted. To find out, give "
+        "all logs of the boat, or record longer and more varied runs, and diagnose again with their logs."
     )
     assert "The model can be used: its standard errors" in str(diagnosis_caveat(replace(found, uncertainty=blank())))
     many = tuple(replace(left[0], name=f"{force}(n_diff)") for force in ("psi", "N", "X", "Y", "T"))
@@ -440,7 +440,7 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     assert ("The search did not add it, because beside the effects that were found too little is left to explain, and "
             "a larger --max-effects tries no more.") in small  # fmt: skip
     note = next(n for n in _notes(replace(found, rounds=rounds[:1]), GivenModel("m.toml")) if "still pass" in n)
-    assert "none of them was added: steady wind. They were not tried: beside the effects that were found" in note
+    assert "none of them is in the model: steady wind. They were not tried beside these effects: beside the" in note
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
     next_step = "The recommended experiment (Next experiment, in the report) may decide this."
     doubt = "It is not certain that the missing effect is hump: a lag resembles it."
@@ -1008,6 +1008,52 @@ def test_payload_has_no_kilograms_if_the_thrust_is_unknown() -> None:
     assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
 
 
+def test_a_search_that_ended_with_a_removal_says_so_and_how_to_try_what_is_left() -> None:
+    """The score tests found much then, so that "too little is left to explain" was wrong."""
+    drag, wind = refit("turning-resistance", 46.0), refit("wind", 40.0)
+    after = blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
+    left = tuple(Score(n, 88.0, 2, 40.0, {}, {}, threshold=12.0) for n in ("cg-offset", "turning-resistance"))
+    gone = RemovedEffect(drag.effect, 30.1, 2.7, SAME)
+    found = Diagnosis(
+        after, after, (Round((), (), (drag,), drag), Round((), (), (wind,), wind)), left, (),
+        (EffectAttribution("wind", "identified"),), (EffectImportance("wind", 90.0, 1.3, 41.2, 5.34),), (gone,),
+    )  # fmt: skip
+    caveat = str(diagnosis_caveat(found))
+    assert (
+        "The search kept none of them, because it ended when it removed turning-resistance again. Of those that were "
+        "fitted, the strongest is added resistance in turns (X_rr): it was removed again: the prediction is as good "
+        "without it; the log-likelihood of the validation data rises by 30 with it (t = 2.7). To try them, run "
+        "`seatrial ident diagnose` with the model of this diagnosis."
+    ) in caveat
+    notes = " ".join(_notes(found, GivenModel("model.toml")))
+    assert "too little is left" not in caveat + notes
+    assert "They were not tried beside these effects: it ended when it removed turning-resistance again." in notes
+    worse = replace(found, removed=(replace(gone, prediction=ROSE),))
+    assert "it was removed again: the prediction is worse with it; the log-likelihood" in str(diagnosis_caveat(worse))
+
+
+@pytest.mark.parametrize(
+    ("gain", "t", "said"),
+    [
+        (13.0, 1.96, "support it too little for an effect that does not clearly improve the prediction (this needs t "
+         "above 2); the log-likelihood of the validation data rises by 13 with it (t = 2.0)."),
+        (-3.0, -1.0, "the validation data do not support it; the log-likelihood of the validation data falls by 3 with "
+         "it (t = -1.0)."),
+    ],
+)  # fmt: skip
+def test_answer_without_effects_says_why_an_added_effect_was_removed(gain: float, t: float, said: str) -> None:
+    """The round said that the log-likelihood rises by 13, and the answer that the data support no added effect."""
+    chosen = refit("lift", 60.0, gain=13.0, t=2.0)
+    score = Score("lift", 88.0, 1, 40.0, {}, {}, threshold=12.0)
+    found = Diagnosis(
+        blank(), blank(cross_validated=False), (Round((score,), ("lift",), (chosen,), chosen),), (), (),
+        removed=(RemovedEffect(chosen.effect, gain, t, SAME),),
+    )  # fmt: skip
+    answer = diagnosis_answer(found, None, 10.0)
+    assert "no candidate explains the residuals: lift was added and removed again: with the other effects" in answer
+    assert said in answer
+
+
 def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> None:
     """A lag of filtered velocities has t = 6.6. The former answer "no candidate predicts the validation data better"
     was wrong.
@@ -1023,7 +1069,11 @@ def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> No
         (),
         removed=(gone,),
     )
-    assert "lag of the yaw rate" in diagnosis_answer(found, None, 10.0)
+    assert (
+        "is as good without it. The validation data support the lag of the yaw rate: their log-likelihood rises by 662 "
+        "(t = 6.6). It is left out because the prediction 10 s ahead is no better with it; `seatrial ident vehicle "
+        "--effect filter-lag` estimates it with the model."
+    ) in diagnosis_answer(found, None, 10.0)
     poor = diagnosis_answer(found, None, 10.0, ("yaw rate", -0.55))
     assert "one channel 10 s ahead worse than its mean value would: yaw rate, fit -55 %" in poor
     assert not is_immaterial(replace(gone, t=1.0))
