@@ -1,4 +1,5 @@
 from .answers import MOST_OF_ERROR as MOST_OF_ERROR
+from .answers import NO_DATE as NO_DATE
 from .answers import NOT_WEIGHED as NOT_WEIGHED
 from .answers import RUNS_AWAY as RUNS_AWAY
 from .answers import SIMULATION_COVERS as SIMULATION_COVERS

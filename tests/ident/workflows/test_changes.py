@@ -611,6 +611,16 @@ def test_sides_that_may_deviate_are_a_common_error_of_their_logs() -> None:
     assert any("which side deviates" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(("effect", "said"), [("wind", True), ("mismatch", False), ("compass", False)])
+def test_wind_of_a_campaign_is_said_to_be_no_change_of_the_boat(effect: str, said: bool) -> None:
+    rows = rows_of({"m_u": np.full(4, 40.0), "p": np.array([1.0, 1.2, 3.0, 3.1])}, effect={"p": effect})
+    notes = [
+        note for note in compared(rows, 2).notes if "Effects of the surroundings, with values of their own" in note
+    ]
+    assert len(notes) == said
+    assert all("in each log: wind. A difference between the campaigns is one of the weather" in note for note in notes)
+
+
 def test_a_model_without_common_errors_has_a_note() -> None:
     """Small errors of sensors can hide changes, and only the model of a diagnosis gives its sizes of effects."""
     vehicle = VehicleRequest((), (), Path(), effects=("mismatch",), score_tests=False)
