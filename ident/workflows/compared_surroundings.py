@@ -59,8 +59,8 @@ def surroundings_notes(models: Mapping[str, SavedModel], logs: Sequence[LoadedLo
     return [
         f"{have} effects of the surroundings with the values of the logs of the fit: {'; '.join(found)}. The compared "
         f"logs {', '.join(other)} are of another day, and are predicted with these values. Compare models without "
-        "them, or fit the logs of both days with the size of the effect for each log (for the wind --per-log F_wx "
-        "--per-log F_wy), so that it is estimated anew on a compared log."
+        "them, or fit the logs of both days with a size of the effect for each log (--per-log; of the wind F_wx and "
+        "F_wy), so that it is estimated anew on a compared log."
     ]
 
 
