@@ -442,17 +442,19 @@ def _removal(removed: RemovedEffect, diagnosis: Diagnosis) -> str:
 
 
 def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], horizon: float) -> str:
-    """Return a sentence on each effect that the validation data support and that was left out, with its size.
+    """Return sentences on each effect that the validation data support and that was left out, with its size.
 
-    ``horizon`` is that of the prediction [s].
+    A single effect has no name in them, because the sentence before names it. ``horizon`` is that of the
+    prediction [s].
     """
     found = []
     for r in removed:
         refit = _last_refit(diagnosis, r.effect.name)
         size = "" if refit is None else sizes_in_words(refit.effect, refit.fitted)
         use = f"; `seatrial ident vehicle --effect {r.effect.name}` estimates it with the model"
+        what = "it" if len(removed) == 1 else r.effect.title
         found.append(
-            f"The validation data support {r.effect.title}{f' ({size})' * bool(size)}: their log-likelihood "
+            f"The validation data support {what}{f' ({size})' * bool(size)}: their log-likelihood "
             f"{_rises(r.validation_gain)} (t = {r.t:.1f}). It is left out because the prediction {horizon:g} s ahead "
             f"is no better with it{use * (r.effect.name in catalogue())}."
         )

@@ -394,7 +394,7 @@ def _notes(
             "appears in other parameters."
         )
     known = catalogue()
-    weather = {p.effect for p in parameters if p.effect in known and known[p.effect].place == "environment"}
+    weather = {e for p in parameters if (e := p.effect or "") in known and known[e].place == "environment"}
     if weather:
         notes.append(
             f"Effects of the surroundings, with values of their own in each log: {', '.join(sorted(weather))}. A "

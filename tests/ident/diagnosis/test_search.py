@@ -1070,8 +1070,8 @@ def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> No
         removed=(gone,),
     )
     assert (
-        "is as good without it. The validation data support the lag of the yaw rate: their log-likelihood rises by 662 "
-        "(t = 6.6). It is left out because the prediction 10 s ahead is no better with it; `seatrial ident vehicle "
+        "is as good without it. The validation data support it: their log-likelihood rises by 662 (t = 6.6). "
+        "It is left out because the prediction 10 s ahead is no better with it; `seatrial ident vehicle "
         "--effect filter-lag` estimates it with the model."
     ) in diagnosis_answer(found, None, 10.0)
     poor = diagnosis_answer(found, None, 10.0, ("yaw rate", -0.55))
