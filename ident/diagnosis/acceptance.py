@@ -463,13 +463,24 @@ def is_immaterial(removed: RemovedEffect, policy: SearchPolicy = DEFAULT_POLICY)
 
 
 def removal_reason(removed: RemovedEffect, policy: SearchPolicy = DEFAULT_POLICY) -> str:
-    """Return as a clause why backward elimination removed an effect again.
+    """Return as a clause why backward elimination removed an effect again, by the thresholds of ``policy``.
 
-    The clause is that the prediction is as good without the effect, by the thresholds of ``policy``; otherwise that the
-    validation data do not support it.
+    If the validation data support the effect (a positive gain and t above ``policy.min_t``), the clause is about the
+    prediction: it is as good without the effect, or worse with it. An effect that also predicts better was removed
+    because the effects that remained predicted worse than none. Otherwise the validation data support the effect too
+    little, or not at all.
     """
     if is_immaterial(removed, policy):
         return "the prediction is as good without it"
+    if removed.validation_gain > 0 and removed.t > policy.min_t:
+        if removed.prediction.verdict == "rose":
+            return "the prediction is worse with it"
+        return "with the effects that remained, the prediction is worse than without any"
+    if removed.validation_gain > 0:
+        return (
+            "with the other effects in the model, the validation data support it too little for an effect that does "
+            f"not clearly improve the prediction (this needs t above {policy.min_t:g})"
+        )
     return "with the other effects in the model, the validation data do not support it"
 
 

@@ -7,6 +7,7 @@ effect is *identified* only if all of these hold:
 
 - the remaining tests find little compared with what the effects explain;
 - no nonparametric curve was needed in addition;
+- the signs of its parameters agree with its name;
 - no competing model comes close, could not be tested, or is explained by the estimated parameters of the model;
 - the prediction of validation data is better with the effect;
 - data and fit have no other weakness.
@@ -38,6 +39,7 @@ from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 HEADING_ERROR, YAW_RATE = "psi", "r"  # sensor error that is a curve, and channel of another sensor
 MOST_ADVISED = 3  # candidates that the advice on an experiment names
 MOST_SIZES = 4  # sizes of an effect that a reason for ambiguity lists
+CLEAR_SIGN = 2.0  # standard errors from zero, from which the sign of an estimate is known
 SIZE_IS_KNOWN = 1.96  # standard errors from zero, from which the 95 % interval of a size does not contain zero
 
 
@@ -127,7 +129,9 @@ def assess_alternatives(
         reasons = [*remaining_reasons, *_own_reasons(search_round, rounds, evidence, policy)]
         if reasons:
             reasons += _insignificant_prediction_reasons(name, evidence.importances, policy)
-        open_names = {*evidence.untested, *_explained(evidence, policy), *still_found}
+        last = search_round.chosen.fitted if evidence.after is None else evidence.after
+        similar = contradicting_signs(search_round.chosen.effect, last.fit).values()
+        open_names = {*evidence.untested, *_explained(evidence, policy), *still_found, *similar}
         others += [
             name for name in search_round.chosen.effect.alternatives if name in open_names and name not in others
         ]
@@ -251,6 +255,7 @@ def _own_reasons(
         *_form_correction_reasons(chosen, refit, policy),
         *_competing_model_reasons(search_round, policy),
         *_undetermined_size_reasons(effect, chosen, fitted, policy),
+        *_contradicting_sign_reasons(effect, fitted),
         *_undetermined_position_reasons(effect, fitted, policy),
         *_unusual_position_reasons(effect, fitted, policy),
         *_untested_alternative_reasons(effect, evidence.untested),
@@ -400,6 +405,29 @@ def _undetermined_size_reasons(
         size = "its size is" if len(sizes) == 1 else "its sizes together are"
         why = f"{size} {distance:.1f} standard errors from zero (a sure name needs {policy.min_significance:g})"
     return [Reason(f"{why}: {', '.join(shown)}")]
+
+
+def contradicting_signs(effect: Effect, fit: Fit) -> dict[str, str]:
+    """Return the parameters of an effect whose estimates contradict its title by their signs.
+
+    They are those of `Effect.cannot_be_negative` that are negative by more than ``CLEAR_SIGN`` standard errors, by
+    name, each with the name of the effect that has a similar form.
+    """
+    of_fit = [name for name in effect.cannot_be_negative if name in fit.names]
+    estimates = {name: fit.estimate(name) for name in of_fit}
+    return {n: effect.cannot_be_negative[n] for n, (value, error) in estimates.items() if value < -CLEAR_SIGN * error}
+
+
+def _contradicting_sign_reasons(effect: Effect, fitted: FittedModel) -> list[Reason]:
+    """Return the reasons for ambiguity that the sign of a parameter contradicts the title of the effect."""
+    found = []
+    for name, similar in contradicting_signs(effect, fitted.fit).items():
+        p = next(p for p in effect.parameters if p.name == name)
+        shown, value, error, unit = _reported_estimate(fitted.fit, p)
+        size = f"{shown} = {value:.3g} ± {error:.2g} {unit}".rstrip()
+        title = catalogue()[similar].title if similar in catalogue() else similar
+        found.append(Reason(f"its sign contradicts this name ({size}), and {title} has a similar form", similar))
+    return found
 
 
 def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:

@@ -622,7 +622,7 @@ def _assembled_fit(
     inflation = np.where(np.isfinite(plain), np.fmax(known.errors / plain, 1.0), 1.0)
     converged = abs(optimum.gain_left) < max(LARGEST_GAIN_LEFT, settings.tolerance)
     message = (
-        f"converged in {counted(optimum.iterations, 'iteration')} (last fit)"
+        "converged"  # the iterations of this fit, which usually starts at the estimates of another one, say little
         if converged
         else f"stopped after {counted(optimum.iterations, 'iteration')}; "
         f"its estimates can still move by {distance_from_maximum(optimum.gain_left):.2g} standard errors"

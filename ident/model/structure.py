@@ -400,6 +400,10 @@ class Effect:
         Signals that the model must provide, for example ``f`` (thrust by thruster).
     one_sided : bool
         Whether the first parameter cannot be negative: its lower bound is 0.
+    cannot_be_negative : Mapping[str, str]
+        Parameters without a bound whose negative values contradict the title, such as a resistance that would push, by
+        name, with the name of the effect that has a similar form and both signs. A fit that finds a negative value
+        shows that something else acts: no name of such an effect is certain.
     alternatives : tuple[str, ...]
         Names of competing effects that explain similar data.
     nests : tuple[str, ...]
@@ -452,6 +456,7 @@ class Effect:
     causes: str = ""
     requires: tuple[str, ...] = ()
     one_sided: bool = False
+    cannot_be_negative: Mapping[str, str] = field(default_factory=dict)
     alternatives: tuple[str, ...] = ()
     nests: tuple[str, ...] = ()
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)

@@ -18,6 +18,7 @@ from seatrial.ident.report.sections.campaigns import (
     absolute_change,
     change_of,
     effect_words,
+    effects_caption,
     joint_words,
 )
 from seatrial.ident.report.sections.comparison import (
@@ -253,6 +254,7 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
             table.add_column(title, no_wrap=True)
         for effect in result.effects:
             table.add_row(*(Text(word) for word in effect_words(effect)))
+        table.caption, table.caption_justify = effects_caption(result) or None, "left"
         tables.append(table)
     if result.errors:
         tables.append(_campaign_errors_table(result.errors, result.horizon))

@@ -1,4 +1,5 @@
 from .answers import MOST_OF_ERROR as MOST_OF_ERROR
+from .answers import NO_DATE as NO_DATE
 from .answers import NOMOTO as NOMOTO
 from .answers import NOMOTO_LAG as NOMOTO_LAG
 from .answers import NOT_WEIGHED as NOT_WEIGHED

@@ -19,9 +19,11 @@ from seatrial.ident.diagnosis import (
     EffectAttribution,
     Outcome,
     Refit,
+    RemovedEffect,
     Round,
     ValidationMismatch,
     competitor_of,
+    contradicting_signs,
     detectable_sizes,
     is_immaterial,
     reason_without_experiment,
@@ -58,6 +60,7 @@ from seatrial.ident.results.answers import (
     mass_notes,
     not_converged,
     outlier_lines,
+    plus_minus,
     poor_channel,
     prior_notes,
     short_data_warnings,
@@ -80,6 +83,7 @@ from seatrial.ident.results.tables import (
     error_tables,
     finite,
     fit_summary,
+    format_number,
     inertial_curves,
     prediction_change,
     residual_rows,
@@ -93,6 +97,7 @@ WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is 
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 CLEAR_CRITERION = 10.0  # of a refit, from which its data clearly support it (Kass and Raftery 1995)
 MOST_NEAREST = 2  # effects that are named if none was added
+MOST_SIZES = 2  # sizes of an effect in a sentence
 MOST_REMAINING = 4  # candidates that still pass the score test and are given by name
 AFTER_CURVE = "after a curve, no second curve is tried"
 NOT_TRIED = "explains too little to be tried, and a larger --max-effects tries no more"
@@ -298,7 +303,7 @@ def diagnosis_answer(
     poor : tuple of (str, float) or None
         Channel that the model predicts worse than by its mean value, and its fit (negative); None without one.
     """
-    sentences = [_missing_effects_sentence(diagnosis, prediction)]
+    sentences = [_missing_effects_sentence(diagnosis, prediction, horizon)]
     if poor is not None and not diagnosis.effects and diagnosis.rounds:
         sentences.append(
             f"But the model predicts one channel {horizon:g} s ahead worse than its mean value would: {poor[0]}, fit "
@@ -359,7 +364,9 @@ def _likelihood_sentence(diagnosis: Diagnosis, role: str) -> str:
     return f"One step ahead the {role} data support {them}: their log-likelihood rises with {_joined_titles(gains)}."
 
 
-def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:
+def _missing_effects_sentence(
+    diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float
+) -> str:
     """Return the sentences on the missing effects, or on why no effect was added.
 
     Without effects, the first of these that applies is stated: there are validation runs that the model does not fit
@@ -380,33 +387,34 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
         return _short_data_sentence(diagnosis) or (
             "No effect is missing: the data show neither an effect of the catalogue nor a nonparametric one."
         )
-    last = diagnosis.rounds[-1]
+    last, removed = diagnosis.rounds[-1], diagnosis.removed
     if diagnosis.untested:
         titles = _joined_titles([u.effect.title for u in diagnosis.untested])
         return (
             f"No effect is confirmed, but candidates that may be missing could not be fitted: {titles}. The warnings "
             "give the reasons."
         )
-    if immaterial := [r.effect.title for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
+    if immaterial := [r for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
+        titles = _joined_titles([r.effect.title for r in immaterial])
         return (
-            f"No effect of the catalogue improves the prediction: {_joined_titles(immaterial)} {do} a part of the "
-            f"residuals one step ahead, but the prediction is as good without {them}."
+            f"No effect of the catalogue improves the prediction: {titles} {do} a part of the residuals one step "
+            f"ahead, but the prediction is as good without {them}. {_removed_sentences(diagnosis, immaterial, horizon)}"
         )
     # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
-    why = (
-        "the validation data do not support the effects that were added"
-        if last.chosen is not None
-        else last.explanation
-    )
+    why = last.explanation
+    if last.chosen is not None:
+        why = "; ".join(f"{r.effect.title} was added and removed again: {_removal(r, diagnosis)}" for r in removed)
     strongest = min(last.scores, key=lambda s: s.p)
     if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
+    nearest = _nearest_effects(last, strongest.name)
     return (
         f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
-        f"({_p_in_words(strongest.p)}), but no candidate explains the residuals: {why}. {_nearest_effects(last)}A "
-        "score test can find what the tests of whiteness and of the correlations with the inputs miss. Look at the "
-        "residuals in the report, or record longer runs."
+        f"({_p_in_words(strongest.p)}), but no candidate explains the residuals: {why}. {nearest}A score test can "
+        "find what the tests of whiteness and of the correlations with the inputs miss. Give all logs of the boat "
+        "first, as further logs of the estimation or with --validate; if there are no others, record longer runs. Look "
+        "at the residuals in the report."
     )
 
 
@@ -415,33 +423,130 @@ def _p_in_words(p: float) -> str:
     return f"p = {p:.1g}" if p > 0.0 else "p < 1e-300"
 
 
-def _nearest_effects(search_round: Round) -> str:
-    """Return a sentence on the effects of the catalogue that come nearest in a round without an added effect.
+def _nearest_effects(search_round: Round, strongest: str) -> str:
+    """Return the sentences on the effects of the catalogue that come nearest in a round without an added effect.
 
     The estimation data clearly support them (a criterion above `CLEAR_CRITERION`), and the validation data neither
-    support nor contradict them. At most `MOST_NEAREST` are given, with their sizes in the rough fits and the t
-    statistics of their validation. The text ends with a space; it is empty if there is no such effect.
+    support nor contradict them. The `MOST_NEAREST` effects with the largest t statistics of their validation are given,
+    with their sizes in the rough fits. If the candidate ``strongest`` of the score tests is not among them, a sentence
+    says why. The text ends with a space; it is empty if no effect comes near.
     """
-    near = [
+    undecided = [
         r
         for r in search_round.refits
         if not r.nonparametric
         and r.outcome is Outcome.NOT_VALIDATED
         and r.validation_gain > 0
         and r.criterion > CLEAR_CRITERION
-    ][:MOST_NEAREST]
+    ]
+    near = sorted(undecided, key=lambda r: -r.t)[:MOST_NEAREST]
     if not near:
         return ""
-    sizes = [", ".join(filter(None, (in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
+    sizes = [", ".join(filter(None, (sizes_in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
     each = [f"{r.effect.title} ({size})" for r, size in zip(near, sizes, strict=True)]
     options = " ".join(f"--effect {r.effect.name}" for r in near)
+    left_out = "" if strongest in {r.effect.name for r in near} else _why_not_near(search_round, strongest)
     return (
         f"The effects that come nearest are {_joined_titles(each)}: the estimation data support them, and the "
         f"validation data are too few to decide. `seatrial ident vehicle {options}` estimates them with the model. "
         if len(near) > 1
         else f"The effect that comes nearest is {each[0]}: the estimation data support it, and the validation data are "
         f"too few to decide. `seatrial ident vehicle {options}` estimates it with the model. "
-    )
+    ) + left_out
+
+
+def _removal(removed: RemovedEffect, diagnosis: Diagnosis) -> str:
+    """Return a clause: why an effect was removed again, with its gain on the validation data beside the others."""
+    data = f"the log-likelihood of the validation data {_rises(removed.validation_gain)} with it (t = {removed.t:.1f})"
+    return f"{removal_reason(removed, diagnosis.policy)}; {data}"
+
+
+def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], horizon: float) -> str:
+    """Return sentences on each effect that the validation data support and that was left out, with its size.
+
+    A single effect has no name in them, because the sentence before names it. ``horizon`` is that of the
+    prediction [s].
+    """
+    found = []
+    for r in removed:
+        refit = _last_refit(diagnosis, r.effect.name)
+        size = "" if refit is None else sizes_in_words(refit.effect, refit.fitted)
+        use = f"; `seatrial ident vehicle --effect {r.effect.name}` estimates it with the model"
+        what = "it" if len(removed) == 1 else r.effect.title
+        found.append(
+            f"The validation data support {what}{f' ({size})' * bool(size)}: their log-likelihood "
+            f"{_rises(r.validation_gain)} (t = {r.t:.1f}). It is left out because the prediction {horizon:g} s ahead "
+            f"is no better with it{use * (r.effect.name in catalogue())}."
+        )
+    return " ".join(found)
+
+
+def _last_refit(diagnosis: Diagnosis, name: str) -> Refit | None:
+    """Return the last refit of a candidate in the search, by the name of its score; None if there is none."""
+    refits = (_refit_of(search_round.refits, name) for search_round in reversed(diagnosis.rounds))
+    return next(filter(None, refits), None)
+
+
+def _strongest_left_out(diagnosis: Diagnosis) -> str:
+    """Return the sentence why the strongest remaining candidate that was fitted is not in the model; "" without one."""
+    removed = {r.effect.name: r for r in diagnosis.removed}
+    for s in diagnosis.remaining:
+        refit, gone = _last_refit(diagnosis, s.name), removed.get(s.name)
+        if refit is not None:
+            size = sizes_in_words(refit.effect, refit.fitted)
+            why = _refit_clause(refit) if gone is None else f"it was removed again: {_removal(gone, diagnosis)}"
+            title = f"{candidate_title(s.name)}{f' ({size})' * bool(size)}"
+            return f"Of those that were fitted, the strongest is {title}: {why}."
+    return ""
+
+
+def _why_not_near(search_round: Round, name: str) -> str:
+    """Return the sentence why the strongest candidate of the score tests is not among the effects that come nearest.
+
+    ``name`` is the name of the candidate's score. The text ends with a space.
+    """
+    title = _score_titles(search_round)[name]
+    r = _refit_of(search_round.refits, name)
+    if r is None:
+        why = "it was not fitted in this round"
+    elif r.outcome is Outcome.NOT_VALIDATED and r.validation_gain > 0 and r.criterion > CLEAR_CRITERION:
+        why = f"its t is smaller, {r.t:.1f}" if not r.nonparametric else "it is a curve without a formula"
+    else:
+        why = _refit_clause(r)
+    return f"{title[0].upper()}{title[1:]} is not among them: {why}. "
+
+
+def _refit_of(refits: Iterable[Refit], name: str) -> Refit | None:
+    """Return the refit of the candidate whose score has this name, None if there is none.
+
+    The effect of a curve has the name of its score after the word "unknown".
+    """
+    return next((r for r in refits if name in (r.effect.name, r.effect.name.removeprefix("unknown "))), None)
+
+
+def _refit_clause(r: Refit) -> str:
+    """Return a clause: why the fit with an effect did not lead to its addition, with the numbers that decided it."""
+    data = f"the log-likelihood of the validation data {_rises(r.validation_gain)} (t = {r.t:.1f})"
+    match r.outcome:
+        case Outcome.NOT_SUPPORTED:
+            return f"the estimation data support it too little for its {counted(r.df, 'parameter')}"
+        case Outcome.NOT_VALIDATED if r.criterion > CLEAR_CRITERION:
+            return f"the validation data do not support it sufficiently: {data}"
+        case Outcome.NOT_VALIDATED:
+            return f"the estimation data hardly support its {counted(r.df, 'parameter')}, and {data}"
+        case Outcome.WORSE_PREDICTION:
+            return f"{data}, but the prediction is worse with it"
+        case Outcome.NO_BETTER_PREDICTION:
+            return f"{data}, but the prediction is no better with it"
+        case Outcome.SMALL:
+            return f"{data}, but its gain is small beside those of the effects found"
+        case _:
+            return f"{data}, but another effect of its round was preferred"
+
+
+def _rises(gain: float) -> str:
+    """Return how a log-likelihood changes by an effect: "rises by 44" or "falls by 3"."""
+    return f"{'rises' if gain >= 0 else 'falls'} by {abs(gain):.0f}"
 
 
 def _short_data_sentence(diagnosis: Diagnosis) -> str:
@@ -603,7 +708,8 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
     The function gets the estimates of all parameters of the model, in their units. Of a per-record parameter, the
     estimate of the first record is used. ``Effect.in_words_of_data`` takes its place if the effect has one: it also
     gets the last inputs of the estimation records. Parameters of the effect at their bounds are named, because their
-    values are no estimates. The text is empty if the effect has no such function and no parameter at its bound.
+    values are no estimates, and so are signs that contradict the title (`Effect.cannot_be_negative`). The text is empty
+    if the effect has no such function and no such parameter.
 
     Parameters
     ----------
@@ -619,6 +725,11 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
         words = effect.in_words(_estimates(fitted))
     if ESTIMATED_CURVE in words and _is_curve_given(fitted.fit.model):
         words = words.replace(ESTIMATED_CURVE, GIVEN_CURVE)
+    wrong = contradicting_signs(effect, fitted.fit) if effect.cannot_be_negative else {}
+    if wrong:
+        words = words or " and ".join(_named_size(p) for p in effect_parameter_rows(effect, fitted) if p.name in wrong)
+        words += f", a sign that contradicts this name: {_joined_titles([*map(candidate_title, wrong.values())])} "
+        words += "has a similar form" if len(wrong) == 1 else "have similar forms"
     if not (effect.parameters and fitted.fit.flags):
         return words
     stuck = [_named_value(p) for p in effect_parameter_rows(effect, fitted) if p.at_bound]
@@ -648,6 +759,27 @@ def _last_inputs(fitted: FittedModel) -> dict[str, list[float]]:
         for name, value in zip(record.inputs, record.u[-1], strict=True):
             last.setdefault(name, []).append(float(value))
     return last
+
+
+def sizes_in_words(effect: Effect, fitted: FittedModel) -> str:
+    """Return the estimates of an effect as a clause: `in_words`, or its first sizes with their standard errors.
+
+    Sizes are the parameters that are zero without the effect. Of a parameter with a value for each run, no value is
+    given. The text is empty if there is no size.
+    """
+    words = in_words(effect, fitted)
+    sizes = [p.name for p in effect.parameters if p.value == 0.0 and not p.per_record]
+    if words or not sizes:
+        return words
+    rows = [row for row in effect_parameter_rows(effect, fitted) if row.name.removesuffix("/T") in sizes]
+    return " and ".join(_named_size(row) for row in rows[:MOST_SIZES])
+
+
+def _named_size(p: parts.EffectParameter) -> str:
+    """Return name, value, standard error and unit of a parameter for a sentence: ``x_g = 0.049 ± 0.007 m``."""
+    factor, unit = (degrees(1.0), "deg") if p.unit == "rad" else (1.0, p.unit)
+    size = plus_minus(factor * p.value, factor * p.se) if p.se else format_number(factor * p.value)
+    return f"{p.name} = {size} {unit}".rstrip()
 
 
 def _named_value(p: parts.EffectParameter) -> str:
@@ -735,18 +867,27 @@ def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
             f"{counted(n, 'more candidate')} {passes}{which}. Nothing has to be done about this: {each} {reason}"
             f"{included if diagnosis.uncertainty is not None else ''}."
         ]
-    none = "The search added none of them" if n > 1 else "The search did not add it"
+    kept = {r.effect.name for r in diagnosis.removed} & {s.name for s in diagnosis.remaining}
+    none = f"The search {'kept' if kept else 'added'} none of them"
+    if n == 1:
+        none = f"The search did not {'keep' if kept else 'add'} it"
     if _lacks_second_curve(diagnosis) and diagnosis.rounds[-1].chosen is not None:
         advice = "To try another curve, run `seatrial ident diagnose` with the model of this diagnosis."
+    elif _ended_by_removal(diagnosis):
+        advice = "To try them, run `seatrial ident diagnose` with the model of this diagnosis."
     elif recommended_experiment(diagnosis):
         advice = "To find out, record the recommended experiment (Next experiment, in the report), and diagnose again."
     else:
-        advice = "To find out, record longer and more varied runs, and diagnose again with their logs."
+        advice = (
+            "To find out, give all logs of the boat, or record longer and more varied runs, and diagnose again with "
+            "their logs."
+        )
     use = "The model can be used: its standard errors include how far such a candidate would shift an estimate."
     return [
         "The effects found do not explain the residuals in full: beside them the score tests still find "
         f"{counted(n, 'candidate')}{which}.",
         f"{none}, because {reason}.",
+        *filter(None, [_strongest_left_out(diagnosis)]),
         *([use] if diagnosis.uncertainty is not None else []),
         advice,
     ]
@@ -1121,24 +1262,23 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
                     "model of this diagnosis."
                 )
             elif diagnosis.rounds[-1].chosen is not None:
-                again = f" Nothing has to be done about this: each of them {NOT_TRIED}."
+                reason = _why_not_added(diagnosis)
+                again = f" They were not tried beside these effects: {reason}."
+                if reason == NOT_TRIED:
+                    again = f" Nothing has to be done about this: each of them {NOT_TRIED}."
             notes.append(
-                "These candidates still pass the score test after the last effect, but none of them was added: "
+                "These candidates still pass the score test after the last effect, but none of them is in the model: "
                 f"{_remaining_names(diagnosis)}.{again}"
             )
         elif diagnosis.removed:
             notes.append(
-                "These candidates pass the score test of the model without effects, but none of them was added: "
+                "These candidates pass the score test of the model without effects, but none of them is in the model: "
                 f"{_remaining_names(diagnosis)}."
             )
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
         why = diagnosis.rounds[-1].explanation
         notes.append(f"{why[0].upper()}{why[1:]}.")
-    notes += [
-        f"{r.effect.title} was added and removed again: {removal_reason(r, diagnosis.policy)} "
-        f"(its gain in log-likelihood of the validation data is {r.validation_gain:.0f}, t = {r.t:.1f})."
-        for r in diagnosis.removed
-    ]
+    notes += [f"{r.effect.title} was added and removed again: {_removal(r, diagnosis)}." for r in diagnosis.removed]
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
         notes += inertia_curve_notes([e.effect for e in diagnosis.effects])
@@ -1170,7 +1310,16 @@ def _why_not_added(diagnosis: Diagnosis) -> str:
     last = diagnosis.rounds[-1]
     if last.chosen is None:
         return last.explanation
-    return AFTER_CURVE if _lacks_second_curve(diagnosis) else NOT_TRIED
+    if _lacks_second_curve(diagnosis):
+        return AFTER_CURVE
+    if _ended_by_removal(diagnosis):
+        return f"it ended when it removed {_joined_titles([r.effect.title for r in diagnosis.removed])} again"
+    return NOT_TRIED
+
+
+def _ended_by_removal(diagnosis: Diagnosis) -> bool:
+    """Return whether the search ended with a removal, so that the candidates pass on a model that was not tried."""
+    return bool(diagnosis.removed) and diagnosis.rounds[-1].chosen is not None
 
 
 def _lacks_second_curve(diagnosis: Diagnosis) -> bool:

@@ -393,6 +393,14 @@ def _notes(
             f"The priors of {', '.join(held)} are the same for both campaigns. If one of these has changed, the change "
             "appears in other parameters."
         )
+    known = catalogue()
+    weather = {e for p in parameters if (e := p.effect or "") in known and known[e].place == "environment"}
+    if weather:
+        notes.append(
+            f"Effects of the surroundings, with values of their own in each log: {', '.join(sorted(weather))}. A "
+            "difference between the campaigns is one of the weather or the place, not of the boat. The logs after are "
+            "predicted with the means of the logs before, so that the error with the values before contains it too."
+        )
     for after in (False, True):
         if int((fitted.after == after).sum()) == 1:
             notes.append(

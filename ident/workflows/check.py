@@ -63,6 +63,7 @@ from seatrial.ident.report import write_check_page
 
 LEAST_WHITE = 0.02  # least white noise of a navigation filter's output, relative to that of a usual sensor
 TURNING = 0.05  # of full speed; a shaft turns at larger speeds
+OF_COMMANDS = frozenset({"shaft-speed-drifts"})  # codes of findings that concern only models of commands
 INITIAL_FACTOR = 1.5  # initial value of a noise with a floor, relative to the floor
 # A fit, its diagnosis and a comparison of models check the same log each time, which takes as long as some evaluations
 # of the likelihood.
@@ -145,6 +146,7 @@ def check_first(
                 despite_faults,
                 more,
                 uses_shaft_speeds=by_shafts,
+                besides=OF_COMMANDS if driven else (),
                 known_noise=signals_of_given_noise(model),
             )
         )
@@ -258,6 +260,7 @@ def with_findings(
     more: Sequence[Finding] = (),
     *,
     uses_shaft_speeds: bool = True,
+    besides: Collection[str] = (),
     known_noise: Collection[str] = (),
 ) -> LoadedLog:
     """Check a log before a fit, and return a copy with the findings in ``about["findings"]``.
@@ -274,6 +277,8 @@ def with_findings(
         Findings of other checks of this log.
     uses_shaft_speeds : bool
         Whether the fit uses the shaft speeds of the log. False: faults of their telemetry do not refuse the log.
+    besides : collection of str
+        Codes of findings that are left out, because they are of no concern for the fit.
     known_noise : collection of str
         Signals whose noise the user has given to the fit. They are not reported as smoothed.
 
@@ -291,7 +296,7 @@ def with_findings(
     name = log.about["path"]
     assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
     found = [*log.device_faults, *_signal_findings(log.own_channels, sides, known_noise), *more]
-    reported = [f for f in found if f.is_problem]
+    reported = [f for f in found if f.is_problem and f.code not in besides]
     refused = [f for f in reported if invalidates_fit(f, uses_shaft_speeds)]
     if refused and not despite_faults:
         first, where = refused[0], "" if refused[0].where == name else f"{refused[0].where}: "

@@ -68,6 +68,7 @@ from seatrial.ident.workflows.compared_predictions import (
     predict_record,
     widened,
 )
+from seatrial.ident.workflows.compared_surroundings import surroundings_notes
 from seatrial.ident.workflows.comparison_errors import (
     at_common_samples,
     calibration_at,
@@ -489,6 +490,10 @@ def _result(
             *_runaway_notes(compared, simulated, horizons[0]),
             *_notes_on_logs(models),
             *_notes_on_parts(compared, letters, loaded),
+            *surroundings_notes(
+                {label if len(compared) > 1 else "": c.saved for label, c in zip(letters, compared, strict=True)},
+                loaded,
+            ),
             *short,
             *([chance] if verdicts else []),
         ),

@@ -61,6 +61,7 @@ def write_model(
     )
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
     made |= {"validation": validation} if validation else {}
+    made |= {"begins": [x.start or "" for x in result.logs if x.role == "estimation"]}
     origin = next((x.origin for x in result.logs if x.role == "estimation" and x.origin is not None), None)
     save_model(
         out / "model.toml",

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -44,6 +45,7 @@ from seatrial.ident.workflows.model_inputs import unused_lines
 from seatrial.ident.workflows.output import sensor_rates, validity, write_model, write_page
 from seatrial.ident.workflows.vehicle_model import VehicleProblem, VehicleRequest, vehicle_problem
 
+SMALL_SHARE_LOST = 0.015  # as LARGEST_SHARE_LOST; more gives a note
 LARGEST_SHARE_LOST = 0.05  # of the thrust, by shaft speeds that differ from the commands; more gives a warning
 
 
@@ -184,23 +186,36 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
             parameters_of_effects(problem.model, request.effects),
         ),
     )
-    more = [*filter(None, [other_speed, _command_scale_warning(fitted.fit.model, loaded)])]
+    scale = _command_scale(fitted.fit.model, loaded)
+    more = [*filter(None, [other_speed])]
+    if scale is not None and scale.matters:
+        more.append(ResultWarning(code="command-scale", text=scale.text))
+    small = [] if scale is None or scale.matters else [scale.text]
     if tested is None and request.estimation.method == "prediction-error":
         # A fit with score tests has an estimate of the error of the antenna, if the data show one.
         more += antenna_warning(fitted.model, antenna_error(fitted))
     answer = " ".join(filter(None, [result.answer, problem.choice]))
-    told = msgspec.structs.replace(result, answer=answer, warnings=(*result.warnings, *more))
+    warnings, notes = (*result.warnings, *more), (*result.notes, *small)
+    told = msgspec.structs.replace(result, answer=answer, warnings=warnings, notes=notes)
     return VehicleFit(fitted, told, uncertainty)
 
 
-def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWarning | None:
-    """Return a warning if the thrust was given for full shaft speed, and full commands do not reach this speed.
+class _CommandScale(NamedTuple):
+    """Text on the thrust at full command, and whether it differs enough from that at full speed for a warning."""
+
+    text: str
+    matters: bool
+
+
+def _command_scale(model: Model, logs: Sequence[LoadedLog]) -> _CommandScale | None:
+    """Return the text on a thrust that was given for full shaft speed, if full commands do not reach this speed.
 
     It concerns models whose inputs are commands, on logs that have the shaft speeds too. A low battery is the usual
     reason. Nothing in the logs or the options says for which of both a thrust was given. The text therefore has the
     given value and the one to give instead, for a reader who has corrected it already, and the scale in the import map
-    with which commands and shaft speeds agree, so that the warning does not come again. None if the thrust was not
-    given, if no log has both signals, or if the speeds are those of the commands.
+    with which commands and shaft speeds agree, so that the text does not come again. A share of the thrust below 5 % is
+    for a note. None if the thrust was not given, if no log has both signals, or if the speeds are those of the
+    commands.
     """
     c1 = next((p for p in model.parameters if p.name == "c1"), None)
     if c1 is None or c1.origin not in (ParameterOrigin.GIVEN, ParameterOrigin.PRIOR):
@@ -209,18 +224,22 @@ def _command_scale_warning(model: Model, logs: Sequence[LoadedLog]) -> ResultWar
         return None
     known = {log.run.name: ratio for log in logs if (ratio := speed_at_full_command(log.run.channels)) is not None}
     share = float(np.mean([ratio**2 for ratio in known.values()])) if known else 1.0
-    if abs(share - 1.0) < LARGEST_SHARE_LOST:
+    if abs(share - 1.0) < SMALL_SHARE_LOST:
         return None
-    listed = first_names([f"{own:.2f} ({name})" for name, own in known.items()])
-    ratio = math.sqrt(share)
+    matters = abs(share - 1.0) >= LARGEST_SHARE_LOST
+    places = 2 if matters else 3
+    listed = first_names([f"{own:.{places}f} ({name})" for name, own in known.items()])
+    prior = c1.prior if c1.origin is ParameterOrigin.PRIOR else None
+    ratio, value = math.sqrt(share), c1.value if prior is None else prior[0]
     text = (
-        f"At full command the shafts turn at {listed} times full speed, so that their thrust is {share:.2f} of that at "
-        f"full speed. The model takes c1 = {c1.value:.4g} N as the thrust at full command. If it was measured at full "
-        f"shaft speed, all masses are {1 / share:.2f} times their true value: give c1 = {share * c1.value:.4g} N, and "
-        f"{share:.2f} of c2. If it was measured at full command, the masses are right: divide the scale of the shaft "
-        f"speeds in the import map by {ratio:.2f} (or multiply rpm_max in the rig file by it), and this warning ends."
+        f"At full command the shafts turn at {listed} times full speed, so that their thrust is {share:.{places}f} of "
+        f"that at full speed. The model takes c1 = {value:.4g} N as the thrust at full command. If it was measured at "
+        f"full shaft speed, all masses are {1 / share:.{places}f} times their true value: give c1 = "
+        f"{share * value:.4g} N, and {share:.{places}f} of c2. If it was measured at full command, the masses are "
+        f"right: divide the scale of the shaft speeds in the import map by {ratio:.{places}f} (or multiply rpm_max in "
+        f"the rig file by it), and this {'warning' if matters else 'note'} ends."
     )
-    return ResultWarning(code="command-scale", text=text)
+    return _CommandScale(text, matters)
 
 
 def is_tested(request: VehicleRequest) -> bool:

@@ -310,20 +310,22 @@ class FitReport(Shown):
         """
         return tables.error_frame(self.result)
 
-    def plot(self, *channels: str) -> Figure:
-        """Return a figure of measured and predicted channels over the horizon, of all records of the result.
+    def plot(self, *channels: str, record: str | None = None) -> Figure:
+        """Return a figure of measured and predicted channels over the horizon, validation records first.
 
         Parameters
         ----------
         *channels : str
             Names of the channels to draw, such as ``"psi"``; without names all are drawn.
+        record : str, optional
+            Name of the only record to draw; without it all are drawn.
 
         Raises
         ------
         SeatrialError
-            If the result has no channel with one of the names.
+            If the result has no channel with one of the names, or no such record.
         """
-        return plots.prediction_figure(self.result, channels)
+        return plots.prediction_figure(self.result, channels, record)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: class of the result, name of the model, and `answer`."""

@@ -261,7 +261,7 @@ class Saved(MotionMethods, Shown):
         self._require_fit("horizon_seconds")
         return tables.error_frame(self.result)
 
-    def plot(self, *channels: str) -> Figure:
+    def plot(self, *channels: str, record: str | None = None) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, as that of a fit of this process.
 
         For the result of a comparison it has the predictions of all models, as `Comparison.plot`.
@@ -270,16 +270,19 @@ class Saved(MotionMethods, Shown):
         ----------
         *channels : str
             Names of the channels to draw, such as ``"psi"``; without names all are drawn.
+        record : str, optional
+            Name of the only record to draw of the result of a fit; without it all are drawn.
 
         Raises
         ------
         SeatrialError
-            If no result of a fit or of a comparison was loaded, or if it has no channel with one of the names.
+            If no result of a fit or of a comparison was loaded, or if it has no channel with one of the names, or no
+            such record.
         """
         if self.result is not None and self.result.__struct_config__.tag == "comparison":
             return comparison_figure(self.result, channels, None)
         self._require_fit("traces")
-        return prediction_figure(self.result, channels)
+        return prediction_figure(self.result, channels, record)
 
     def to_pandas(self) -> Any:
         """Return the loaded result as a ``pandas.DataFrame``, with the columns of the function that computes it.

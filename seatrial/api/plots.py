@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from seatrial.api.figures import Figure
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, names_hint
 from seatrial.ident.report import (
     Panel,
     band,
@@ -24,17 +24,18 @@ from seatrial.ident.report import (
 
 if TYPE_CHECKING:
     from seatrial.api.series import Series
+    from seatrial.ident.numerics import Array
     from seatrial.ident.results import ComparisonResult, FitResult, PredictionKind
 
 POINTS = 3000  # largest number of points of a line
 TURN_DEG = 360.0
 
 
-def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
+def prediction_figure(result: FitResult, channels: Sequence[str], record: str | None = None) -> Figure:
     """Return a figure of measured and predicted channels over the horizon, with the 95 % band of the prediction.
 
-    It has a panel for each channel of each record, estimation records first. Angles are in degrees. A channel without
-    predictions has only its samples.
+    It has a panel for each channel of each record, validation records first. Angles are in degrees and wrapped to half
+    a turn about zero, as in the report. A channel without predictions has only its samples.
 
     Parameters
     ----------
@@ -42,23 +43,28 @@ def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
         Result of a fit.
     channels
         Names of the channels to draw; empty: all.
+    record
+        Name of the only record to draw; None: all.
 
     Raises
     ------
     SeatrialError
-        If the result has no channel with one of the names, or no channel at all.
+        If the result has no channel with one of the names, no such record, or no channel at all.
     """
     check_names(channels, [x.channel for x in result.traces], _states(result))
+    records = dict.fromkeys(x.record for x in result.traces)
+    if record is not None and record not in records:
+        raise SeatrialError(f"record: there is no record {record!r}; {names_hint(str(record), records)}")
     panels = []
-    for x in result.traces:
-        if channels and x.channel not in channels:
+    for x in sorted(result.traces, key=lambda x: x.role != "validation"):
+        if (channels and x.channel not in channels) or record not in (None, x.record):
             continue
         factor, unit = degrees_for(x.unit)
         turn = TURN_DEG if x.angle else None
         panel = Panel(f"{x.channel} [{unit or '1'}], {x.record} ({x.role})")
-        panel.traces.append(dots(x.t, factor * x.measured, "measured", POINTS, turn=turn))
+        panel.traces.append(dots(x.t, _wrapped(factor * x.measured, turn), "measured", POINTS, turn=turn))
         if x.t_horizon.size:
-            middle, half = factor * x.horizon, 1.96 * factor * x.sd_horizon
+            middle, half = _wrapped(factor * x.horizon, turn), 1.96 * factor * x.sd_horizon
             panel.traces.append(band(x.t_horizon, middle, half, POINTS, turn=turn))
             name = f"predicted {result.horizon_seconds:g} s ahead"
             panel.traces.append(line_trace(x.t_horizon, middle, name, POINTS, turn=turn))
@@ -66,6 +72,11 @@ def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
     return _stacked(
         f"Measured (grey) and predicted {result.horizon_seconds:g} s ahead (blue, with its 95 % band)", panels
     )
+
+
+def _wrapped(values: Array, turn: float | None) -> Array:
+    """Return an angle wrapped to half a turn about zero; other signals (``turn`` is None) are returned unchanged."""
+    return values if turn is None else np.mod(values + turn / 2, turn) - turn / 2
 
 
 def comparison_figure(

@@ -33,8 +33,9 @@ from seatrial import command_line
 from seatrial.api.calls import as_code, python_call
 from seatrial.api.fits import model_path
 from seatrial.api.messages import text_of, with_texts_in_python
+from seatrial.api.plots import prediction_figure
 from seatrial.daq.checks import Finding
-from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.import_map import parse_import_map
 from seatrial.daq.log import bag_of_ros
 from seatrial.ident.data.loading import load_run
@@ -47,6 +48,7 @@ from seatrial.ident.workflows.diagnose import DiagnosisRequest
 from seatrial.ident.workflows.thruster import ThrusterRequest
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
 from seatrial.mocks.plant.bench import draw_bench
+from tests.ident.pages import numbers
 from tests.missions import bench_log, boat_log, boat_with
 from tests.page_runner import run_python
 from tests.test_docs import blocks
@@ -460,10 +462,11 @@ def test_predictions_show_their_unit(fit: st.FittedVehicle) -> None:
     assert set(table[table["channel"] == "vx"]["unit"]) == {"m/s"}
 
 
-def test_the_number_of_iterations_is_that_of_the_last_fit(fit: st.FittedVehicle) -> None:
-    found = fit.result.fit
-    assert f"in {counted(found.iterations, 'iteration')} (last fit)" in found.message
-    assert found.message in fit.summary()
+def test_the_summary_says_that_the_fit_converged(fit: st.FittedVehicle) -> None:
+    """The number of iterations of the last of several fits would need an explanation, and is in the report only."""
+    assert fit.result.fit.message == "converged"
+    assert re.search(r"^horizontal.*: PE, .*converged$", fit.summary(), re.MULTILINE | re.DOTALL)
+    assert "iteration" not in fit.summary().partition("log-likelihood")[0]
 
 
 def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
@@ -709,10 +712,25 @@ def test_figures(fit: st.FittedVehicle, tmp_path: Path) -> None:
     assert "(blue, with its 95" in page
     assert '<div class="plot" id="figure-1"' in page
     assert len(fit.plot_residuals("psi").data) == 3
+    with pytest.raises(SeatrialError, match=r"record: there is no record 'run'; did you mean 'run1'\?$"):
+        fit.plot("psi", record="run")
+    assert len(fit.plot("psi", record="run1").data) < len(fit.plot("psi").data)
     with pytest.raises(SeatrialError, match=r"there is no channel 'yaw'; the channels are psi, r[a-z, ]*$"):
         fit.plot("yaw")
     with pytest.raises(SeatrialError, match=r"'u'; the channels are .* u is a state .*columns t, u and sd_u$"):
         fit.plot("psi", "u")
+
+
+def test_figure_of_a_fit_has_validation_first_and_headings_within_a_turn(fit: st.FittedVehicle) -> None:
+    trace = next(x for x in fit.result.traces if x.angle)
+    turned = structs.replace(trace, role="estimation", measured=trace.measured + 8.0 * np.pi)
+    unseen = structs.replace(trace, record="unseen", role="validation")
+    figure = prediction_figure(structs.replace(fit.result, traces=(turned, unseen)), ["psi"])
+    titles = [x["text"] for x in figure.layout["annotations"]]
+    assert [words.rpartition("(")[2] for words in titles] == ["validation)", "estimation)"]
+    measured = [numbers(x["y"]) for x in figure.data if x["name"] == "measured"]
+    assert len(measured) == 2
+    assert all(np.nanmax(np.abs(y)) <= 180.01 for y in measured)
 
 
 def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:

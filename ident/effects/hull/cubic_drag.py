@@ -20,5 +20,6 @@ EFFECT = Effect(
     experiment="long straight runs at five or more speeds up to the highest",
     requires=("hull",),
     parametric_form_of=ForceCurve("X", "u"),
+    cannot_be_negative={"d_uuu": "hump"},  # beyond its peak, the resistance falls with the speed
     alternatives=("advance-ratio", "hump", "coulomb"),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals, in_sentence
 
 
 def resist(s: Signals) -> None:
@@ -19,5 +19,7 @@ EFFECT = Effect(
     source="MMG model, Yasukawa and Yoshimura 2015",
     experiment="turning on the spot and turning circles at several speeds",
     requires=("hull",),
+    cannot_be_negative={"X_rr": "cg-offset"},  # x_g acts as r^2 in surge too
     alternatives=("cg-offset", "advance-ratio", "cross-flow"),
+    in_words=in_sentence("X_rr", "kg m", "X_rr = {}"),
 )

@@ -19,28 +19,31 @@ from seatrial.ident.results import (
     ErrorComparison,
 )
 
+NOT_COMPARED = "not compared"  # effect of which no parameter tells whether it is present
 VALUES = {"before": "values before", "changed": "with the changes", "after": "values after"}
 # Titles of the families of parameters in the table of changes; those of the boat come first, without a title
 FAMILIES = {"boat": "", "surroundings": "Sensors and surroundings", "noise": "Noise, disturbances and offsets"}
 COLORS = {"before": drawing.BEFORE, "after": drawing.MODEL}
 SYMBOLS = {"before": "circle-open", "after": "circle"}
+SHORT_UNIT = 3  # characters; with longer ones beside the numbers the table is wider than a window (it has them once)
 MOST_LABELS = 24  # logs whose names fit beside a figure
 ROW_PX, REST_PX = 20, 62  # height of a log's row in a figure, and of the axis below
 
 
-def change_of(p: Difference) -> str:
+def change_of(p: Difference, longest_unit: int | None = None) -> str:
     """Return the change of a parameter or combination with its 95 % interval as text: ``+24 % (+15 to +33)``.
 
-    Without a relative change, it is in the shown unit of the parameter. Without an interval, only the change is
-    returned.
+    Without a relative change, it is in the shown unit of the parameter, as in ``-0.02 deg (-0.1 to +0.06)``. A
+    unit with more than ``longest_unit`` characters is left out. Without an interval, only the change is returned.
     """
-    factor, _ = formatting.degrees_for(p.unit)
+    factor, shown = formatting.degrees_for(p.unit)
     relative = p.relative is not None and p.difference != 0.0
     scale = 100.0 * (p.relative or 0.0) / p.difference if relative else factor
     value, low, high = (
         None if v is None else _signed(scale * v, relative, scale * p.se) for v in (p.difference, p.low, p.high)
     )
-    unit = " %" if relative else ""
+    too_long = longest_unit is not None and len(shown) > longest_unit
+    unit = " %" if relative else f" {'' if too_long else shown}".rstrip()
     return f"{value}{unit}" if low is None or high is None else f"{value}{unit} ({low} to {high})"
 
 
@@ -76,8 +79,18 @@ def _signed(value: float, percent: bool, error: float) -> str:
 
 def effect_words(effect: EffectDifference) -> tuple[str, str, str, str]:
     """Return an effect as texts: its name, whether it is present before and after, and whether it has changed."""
-    words = {True: "present", False: "not significant", None: "unknown"}
+    words = {True: "present", False: "not significant", None: NOT_COMPARED}
     return effect.name, words[effect.before], words[effect.after], "changed" if effect.changed else ""
+
+
+def effects_caption(result: CampaignsResult) -> str:
+    """Return the sentence that explains effects without a verdict; empty if each has one."""
+    if all(None not in (e.before, e.after) for e in result.effects):
+        return ""
+    return (
+        f"{NOT_COMPARED[0].upper()}{NOT_COMPARED[1:]}: no parameter of the effect could be tested in this campaign; "
+        "the reasons are in the table of what is not compared."
+    )
 
 
 def joint_words(result: CampaignsResult) -> str:
@@ -127,6 +140,7 @@ def changes_section(result: CampaignsResult) -> Section:
             [Cell(w, "code") if k == 0 else Cell(w) for k, w in enumerate(effect_words(e))] for e in result.effects
         ]
         blocks += [Heading("Effects"), Table((("effect", ""), ("before", ""), ("after", ""), ("", "")), found)]
+        blocks += [Prose(line) for line in filter(None, [effects_caption(result)])]
     if result.not_compared:
         reasons: dict[str, list[str]] = {}
         for p in result.not_compared:
@@ -141,7 +155,7 @@ def _cells(p: Difference) -> list[Cell | str]:
     factor, unit = formatting.degrees_for(p.unit)
     before, after = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
     scatter = None if p.scatter is None else factor * p.scatter
-    changes = (absolute_change(p), change_of(p), _detectable_text(p))
+    changes = (absolute_change(p), change_of(p, SHORT_UNIT), _detectable_text(p))
     numbers = (formatting.probability(p.q), *changes[:2], before, after, changes[2], formatting.plain(scatter, 2))
     verdict = Cell("changed", "strong") if p.changed else Cell("unknown" if p.q is None else "–", "quiet")
     return [

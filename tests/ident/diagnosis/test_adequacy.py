@@ -578,6 +578,33 @@ def test_effect_whose_parameters_are_at_bounds_or_undetermined_is_ambiguous(
     assert found.reasons == ((reason,) if reason else ())
 
 
+@pytest.mark.parametrize(("value", "attribution"), [(5.1, "identified"), (-5.1, "ambiguous")])
+def test_resistance_that_would_push_the_boat_is_no_sure_name(value: float, attribution: str) -> None:
+    """An offset of the centre of gravity forward acts as a negative X_rr: both are forces over r^2 in surge."""
+    effect = catalogue()["turning-resistance"]
+    model = SimpleNamespace(parameters=effect.parameters, values={}, inputs=())
+    fit = a_fit(("X_rr",), [value], np.array([[1.16**2]]), model)
+    chosen = replace(refit("turning-resistance", 800.0, fit=fit), effect=effect)
+    (found,) = attributions_of(one_round(chosen))
+    assert found.attribution == attribution
+    title = "an offset of the centre of gravity (x_g, y_g)"
+    if attribution == "ambiguous":
+        assert found.reasons == (
+            f"its sign contradicts this name (X_rr = -5.1 ± 1.2 kg m), and {title} has a similar form",
+        )
+        assert found.not_excluded == ("cg-offset",)
+    told = in_words(effect, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    contradicts = f", a sign that contradicts this name: {title} has a similar form"
+    assert told == ("X_rr = 5 ± 1 kg m" if value > 0 else f"X_rr = -5 ± 1 kg m{contradicts}")
+
+
+def test_effects_of_a_similar_form_are_in_the_catalogue() -> None:
+    for effect in catalogue().values():
+        names = {p.name for p in effect.parameters if p.bounds[0] < 0.0}
+        assert names >= {*effect.cannot_be_negative}, effect.name
+        assert {*effect.alternatives} >= {*effect.cannot_be_negative.values()}, effect.name
+
+
 def test_parameter_at_its_bound_is_no_finding_in_words() -> None:
     """A share of 0.9 that is the bound of the search is told as a limit, not as an estimate."""
     effect = catalogue()["derating"]

@@ -47,6 +47,7 @@ from seatrial.ident.results.diagnosis import (
     diagnosis_answer,
     diagnosis_caveat,
     reported_mismatches,
+    sizes_in_words,
     what_is_lacking,
 )
 from seatrial.ident.validation.prediction_errors import PredictionChange
@@ -358,8 +359,8 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
     )
     found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, ("wind",), refits, None),), (), ())
     assert (
-        "The effects that come nearest are wind (t = 0.9) and battery (t = 1.7): the estimation data support them, and "
-        "the validation data are too few to decide. `seatrial ident vehicle --effect wind --effect battery` estimates "
+        "The effects that come nearest are battery (t = 1.7) and wind (t = 0.9): the estimation data support them, and "
+        "the validation data are too few to decide. `seatrial ident vehicle --effect battery --effect wind` estimates "
         "them with the model. A score test can find" in diagnosis_answer(found, None, 10.0)
     )
     one = replace(found, rounds=(replace(found.rounds[0], refits=refits[2:]),))
@@ -368,6 +369,47 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
     )
     none = replace(found, rounds=(replace(found.rounds[0], refits=refits[3:]),))
     assert "nearest" not in diagnosis_answer(none, None, 10.0)
+    assert "Give all logs of the boat first, as further logs of the estimation or with --validate; if" in (
+        diagnosis_answer(found, None, 10.0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("wind", "said"),
+    [
+        (refit("wind", 11.0, gain=14.9, t=1.6), "nearest are wind (t = 1.6) and pull (t = 1.4): the estimation"),
+        (refit("wind", 11.0, gain=14.9, t=1.1), "the model. Wind is not among them: its t is smaller, 1.1. A"),
+        (
+            refit("wind", 7.0, gain=4.9, t=1.6),
+            "Wind is not among them: the estimation data hardly support its 1 parameter, and the log-likelihood "
+            "of the validation data rises by 5 (t = 1.6). A",
+        ),
+        (
+            refit("wind", 30.0, gain=-4.0, t=-1.0),
+            "Wind is not among them: the validation data do not support it sufficiently: the log-likelihood of "
+            "the validation data falls by 4 (t = -1.0). A",
+        ),
+        (None, "Steady wind is not among them: it was not fitted in this round. A"),
+    ],
+)
+def test_the_strongest_candidate_is_among_the_nearest_or_the_answer_says_why_not(wind: Any, said: str) -> None:
+    """Refits are in the order of a criterion that counts parameters, so that the wind with its six came last."""
+    scores = (Score("wind", 133.0, 1, 46.0, {}, {}, threshold=22.0),)
+    fits = [refit("pull", 32.0, gain=7.0, t=1.4), refit("line", 25.0, gain=11.0, t=1.2), *filter(None, [wind])]
+    refits = tuple(replace(r, outcome=Outcome.NOT_VALIDATED) for r in fits)
+    found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, ("wind",), refits, None),), (), ())
+    assert said in diagnosis_answer(found, None, 10.0)
+
+
+def test_nearest_effects_have_their_sizes() -> None:
+    """A coefficient is of no use without its size and sign."""
+    effect = Effect("drag", "drag", {}, (Parameter("X_rr", 0.0, "kg m"), Parameter("w", 0.2, "m")))
+    found = {"X_rr": (5.071, 1.159), "w": (0.3, 0.1)}
+    fit = blank(
+        model=blank(parameters=(), inputs=(), values={}), flags=(), records=("run1",),
+        estimate=staticmethod(lambda name, record=0: found[name]),
+    )  # fmt: skip
+    assert sizes_in_words(effect, blank(fit=fit)) == "X_rr = 5.1 ± 1.2 kg m"
 
 
 def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
@@ -379,8 +421,8 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
     found = Diagnosis(after, after, rounds, left, (), attributions=certain, importances=(weight,))
     assert diagnosis_caveat(found) == (
         "The effects found do not explain the residuals in full: beside them the score tests still find 1 candidate: "
-        "steady wind. The search did not add it, because no candidate that passed could be fitted. To find out, record "
-        "longer and more varied runs, and diagnose again with their logs."
+        "steady wind. The search did not add it, because no candidate that passed could be fitted. To find out, give "
+        "all logs of the boat, or record longer and more varied runs, and diagnose again with their logs."
     )
     assert "The model can be used: its standard errors" in str(diagnosis_caveat(replace(found, uncertainty=blank())))
     many = tuple(replace(left[0], name=f"{force}(n_diff)") for force in ("psi", "N", "X", "Y", "T"))
@@ -406,7 +448,7 @@ def test_caveat_of_a_certain_name_has_the_candidates_that_still_pass() -> None:
         assert word not in several
     note = next(n for n in _notes(replace(found, rounds=rounds[:1]), GivenModel("m.toml")) if "still pass" in n)
     assert (
-        "none of them was added: steady wind. Nothing has to be done about this: each of them explains too little"
+        "none of them is in the model: steady wind. Nothing has to be done about this: each of them explains too little"
         in note
     )
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
@@ -982,6 +1024,52 @@ def test_payload_has_no_kilograms_if_the_thrust_is_unknown() -> None:
     assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
 
 
+def test_a_search_that_ended_with_a_removal_says_so_and_how_to_try_what_is_left() -> None:
+    """The score tests found much then, so that "too little is left to explain" was wrong."""
+    drag, wind = refit("turning-resistance", 46.0), refit("wind", 40.0)
+    after = blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
+    left = tuple(Score(n, 88.0, 2, 40.0, {}, {}, threshold=12.0) for n in ("cg-offset", "turning-resistance"))
+    gone = RemovedEffect(drag.effect, 30.1, 2.7, SAME)
+    found = Diagnosis(
+        after, after, (Round((), (), (drag,), drag), Round((), (), (wind,), wind)), left, (),
+        (EffectAttribution("wind", "identified"),), (EffectImportance("wind", 90.0, 1.3, 41.2, 5.34),), (gone,),
+    )  # fmt: skip
+    caveat = str(diagnosis_caveat(found))
+    assert (
+        "The search kept none of them, because it ended when it removed turning-resistance again. Of those that were "
+        "fitted, the strongest is added resistance in turns (X_rr): it was removed again: the prediction is as good "
+        "without it; the log-likelihood of the validation data rises by 30 with it (t = 2.7). To try them, run "
+        "`seatrial ident diagnose` with the model of this diagnosis."
+    ) in caveat
+    notes = " ".join(_notes(found, GivenModel("model.toml")))
+    assert "too little is left" not in caveat + notes
+    assert "They were not tried beside these effects: it ended when it removed turning-resistance again." in notes
+    worse = replace(found, removed=(replace(gone, prediction=ROSE),))
+    assert "it was removed again: the prediction is worse with it; the log-likelihood" in str(diagnosis_caveat(worse))
+
+
+@pytest.mark.parametrize(
+    ("gain", "t", "said"),
+    [
+        (13.0, 1.96, "support it too little for an effect that does not clearly improve the prediction (this needs t "
+         "above 2); the log-likelihood of the validation data rises by 13 with it (t = 2.0)."),
+        (-3.0, -1.0, "the validation data do not support it; the log-likelihood of the validation data falls by 3 with "
+         "it (t = -1.0)."),
+    ],
+)  # fmt: skip
+def test_answer_without_effects_says_why_an_added_effect_was_removed(gain: float, t: float, said: str) -> None:
+    """The round said that the log-likelihood rises by 13, and the answer that the data support no added effect."""
+    chosen = refit("lift", 60.0, gain=13.0, t=2.0)
+    score = Score("lift", 88.0, 1, 40.0, {}, {}, threshold=12.0)
+    found = Diagnosis(
+        blank(), blank(cross_validated=False), (Round((score,), ("lift",), (chosen,), chosen),), (), (),
+        removed=(RemovedEffect(chosen.effect, gain, t, SAME),),
+    )  # fmt: skip
+    answer = diagnosis_answer(found, None, 10.0)
+    assert "no candidate explains the residuals: lift was added and removed again: with the other effects" in answer
+    assert said in answer
+
+
 def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> None:
     """A lag of filtered velocities has t = 6.6. The former answer "no candidate predicts the validation data better"
     was wrong.
@@ -997,7 +1085,11 @@ def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> No
         (),
         removed=(gone,),
     )
-    assert "lag of the yaw rate" in diagnosis_answer(found, None, 10.0)
+    assert (
+        "is as good without it. The validation data support it: their log-likelihood rises by 662 (t = 6.6). "
+        "It is left out because the prediction 10 s ahead is no better with it; `seatrial ident vehicle "
+        "--effect filter-lag` estimates it with the model."
+    ) in diagnosis_answer(found, None, 10.0)
     poor = diagnosis_answer(found, None, 10.0, ("yaw rate", -0.55))
     assert "one channel 10 s ahead worse than its mean value would: yaw rate, fit -55 %" in poor
     assert not is_immaterial(replace(gone, t=1.0))

@@ -25,7 +25,13 @@ from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report import write_report
-from seatrial.ident.report.sections.campaigns import _signed, absolute_change
+from seatrial.ident.report.sections.campaigns import (
+    _signed,
+    absolute_change,
+    change_of,
+    effect_words,
+    effects_caption,
+)
 from seatrial.ident.report.terminal import campaign_tables
 from seatrial.ident.reporter import Quiet
 from seatrial.ident.results import (
@@ -610,6 +616,37 @@ def test_sides_that_may_deviate_are_a_common_error_of_their_logs() -> None:
     assert mass.se == pytest.approx(9.2, abs=0.2)
     assert not mass.changed
     assert any("which side deviates" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("effect", "said"), [("wind", True), ("mismatch", False), ("compass", False)])
+def test_wind_of_a_campaign_is_said_to_be_no_change_of_the_boat(effect: str, said: bool) -> None:
+    rows = rows_of({"m_u": np.full(4, 40.0), "p": np.array([1.0, 1.2, 3.0, 3.1])}, effect={"p": effect})
+    notes = [
+        note for note in compared(rows, 2).notes if "Effects of the surroundings, with values of their own" in note
+    ]
+    assert len(notes) == said
+    assert all("in each log: wind. A difference between the campaigns is one of the weather" in note for note in notes)
+
+
+def test_a_change_that_is_not_relative_has_its_unit_and_an_effect_without_verdict_its_reason() -> None:
+    """The mean before is about zero, so that the change stands beside others in per cent."""
+    values = {"dev_f2s": np.array([0.001, -0.0012, 0.0002, 0.021, 0.0195, 0.0205]), "k_J": np.zeros(6)}
+    kinds = {"unit": {"dev_f2s": "rad", "k_J": "kg/s"}, "effect": {"dev_f2s": "compass", "k_J": "advance-ratio"}}
+    rows = rows_of(values, 0.001, flag={"k_J": "half of its information comes from its prior"}, **kinds)
+    for r in rows:
+        if r["parameter"] == "k_J":
+            r |= {"free": True, "flag": "at its bound", "se": None} if r["log"] != "run0" else {"value": 0.5}
+    found = compared(rows, 3)
+    (deviation,) = (p for p in found.parameters if p.name == "dev_f2s")
+    assert deviation.relative is None
+    assert re.fullmatch(r"\+1\.1\d* deg \(\+.* to \+.*\)", change_of(deviation))
+    result = result_of(found, ())
+    unknown = [e.name for e in result.effects if None in (e.before, e.after)]
+    assert unknown == ["advance-ratio"]
+    assert "not compared" in effect_words(result.effects[1])
+    table = next(t for t in campaign_tables(result) if "Effects" in str(t.title))
+    assert str(table.caption).startswith("Not compared: no parameter of the effect could be tested")
+    assert effects_caption(msgspec.structs.replace(result, effects=result.effects[:1])) == ""
 
 
 def test_a_model_without_common_errors_has_a_note() -> None:

@@ -55,6 +55,19 @@ def test_slower_shafts_are_named_only_for_models_of_commands(tmp_path: Path) -> 
         assert ("shaft-speed-differs" in codes) == named
 
 
+def test_shaft_that_slows_down_is_named_only_for_models_of_commands(tmp_path: Path) -> None:
+    """A model of shaft speeds is right for each of them, as the text of the finding says."""
+    recording, _ = sail(boat_with(None, 3), 300.0, 101, 1, "steps")
+    readings = [
+        r._replace(sample=replace(r.sample, rpm=(1.0 - 0.002 * r.t) * r.sample.rpm)) if isinstance(r.sample, Esc) else r
+        for r in recording.readings
+    ]
+    log = load_run(write_log(tmp_path / "run.mcap", "boat", readings), "estimation", device_faults=device_faults)
+    for source, named in (("command", True), ("shaft", False)):
+        ((checked,), _) = check_first([log], [], horizontal_model(source), False)
+        assert ("shaft-speed-drifts" in [f["code"] for f in checked.about["findings"]]) == named
+
+
 def test_a_log_is_checked_again_only_if_its_samples_or_the_options_differ(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

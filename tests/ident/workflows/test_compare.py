@@ -9,6 +9,7 @@ import shutil
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -58,6 +59,7 @@ from seatrial.ident.workflows.compare import (
     with_equal_averages,
 )
 from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, Curve, PredictedRecord
+from seatrial.ident.workflows.compared_surroundings import surroundings_notes
 from seatrial.ident.workflows.comparison_errors import (
     at_common_samples,
     calibration_at,
@@ -564,6 +566,49 @@ def test_simulations_of_unstable_models_are_said_to_run_away(
         assert len(notes) == bool(named)
         assert all(named in note for note in notes)
         assert ("directionally unstable model" in text_of(result)) is bool(named)
+
+
+def test_wind_of_another_day_is_named() -> None:
+    """The wind of the logs of the fit acts on the compared logs, of whatever day."""
+    july, october = "2026-07-01T10:00:00+00:00", "2026-10-09T10:00:00+00:00"
+
+    def saved(effect: str, begins: tuple[str, ...], per_record: bool = False) -> Any:
+        added = catalogue()[effect]
+        own = tuple(replace(p, per_record=per_record) for p in added.parameters)
+        plain = horizontal_model()
+        model = replace(plain, parameters=(*plain.parameters, *own), effects=(added,))
+        return SimpleNamespace(model=model, provenance={"begins": begins} if begins else {})
+
+    def log(name: str, start: str | None) -> Any:
+        return SimpleNamespace(run=SimpleNamespace(name=name), about={"start": start})
+
+    logs = [log("oct", october), log("jul", "2026-07-01T21:00:00+00:00")]
+    (note,) = surroundings_notes({"a": saved("mismatch", (july,)), "b": saved("wind", (july,))}, logs)
+    assert note.startswith(
+        "These models have effects of the surroundings with the values of the logs of the fit: (b) wind. The compared "
+        "logs oct are of another day, and are predicted with these values."
+    )
+    assert surroundings_notes({"": saved("wind", (july,))}, logs)[0].startswith("The model has effects")
+    unknown = [log("new", None), log("undated", "1970-01-01T00:00:00+00:00")]
+    for silent, given in (
+        (saved("wind", (july,)), logs[1:]),
+        (saved("wind", (july, october)), logs),
+        (saved("wind", (july,), per_record=True), logs),
+        (saved("wind", ()), logs),
+        (saved("wind", ("",)), logs),
+        (saved("wind", (july,)), unknown),
+    ):
+        assert surroundings_notes({"": silent}, given) == []
+
+
+def test_a_saved_model_has_the_starts_of_its_logs(
+    models: list[Path], logs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    saved = load_model(models[0])
+    assert len(saved.provenance["begins"]) == len(saved.provenance["logs"])
+    assert all(datetime.fromisoformat(start).tzinfo for start in saved.provenance["begins"])
+    monkeypatch.setattr(compare, "surroundings_notes", lambda by, given: [f"{sorted(by)} on {len(given)}"])
+    assert "['a', 'b'] on 1" in compare_models(CompareRequest(models, logs[2:], (3.0,)), "", Kept()).notes
 
 
 def test_course_of_a_saved_model_is_at_the_speeds_of_its_data(models: list[Path]) -> None:

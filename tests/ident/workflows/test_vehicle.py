@@ -29,7 +29,7 @@ from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.results.tables import record_inputs
 from seatrial.ident.workflows.model_inputs import choose_model, thrust_from, with_derived_signals
 from seatrial.ident.workflows.output import sensor_rates, validity
-from seatrial.ident.workflows.vehicle import _command_scale_warning
+from seatrial.ident.workflows.vehicle import _command_scale
 from tests.ident.rolling import Fitted
 from tests.ident.rolling import sail as rolling_sail
 from tests.missions import boat_log, boat_with, channels_of, rig_of, sail
@@ -331,7 +331,7 @@ def test_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("reached", "words"), [(0.9, "At full command the shafts turn at 0.90 (run) times full speed"), (0.99, "")]
+    ("reached", "words"), [(0.9, "At full command the shafts turn at 0.90 (run) times full speed"), (0.995, "")]
 )
 def test_thrust_for_commands_that_do_not_reach_full_speed_gives_a_warning(reached: float, words: str) -> None:
     t = np.arange(0.0, 120.0, 0.1)
@@ -342,13 +342,31 @@ def test_thrust_for_commands_that_do_not_reach_full_speed_gives_a_warning(reache
     log = LoadedLog(LogSegment("run", c), {}, {}, None)
     for inputs in ("command", "shaft"):
         model, _ = fix_parameters(horizontal_model(inputs), None, {"c1": 40.0, "c2": 0.0})
-        found = _command_scale_warning(model, [log])
+        found = _command_scale(model, [log])
         assert (found is not None) == bool(words and inputs == "command")
         assert found is None or (words in found.text and "give c1 = 32.4 N, and 0.81 of c2" in found.text)
         assert found is None or "If it was measured at full command, the masses are right" in found.text
         assert found is None or found.text.count("If ") == 2
         assert found is None or "all masses are 1.23 times their true value" in found.text
-    assert _command_scale_warning(horizontal_model("command"), [log]) is None
+    assert _command_scale(horizontal_model("command"), [log]) is None
+
+
+def test_shafts_a_little_slower_than_their_commands_have_a_note() -> None:
+    """The thrust is 4 % smaller, so that all masses are 4 % larger than with the shaft speeds."""
+    t = np.arange(0.0, 120.0, 0.1)
+    command = np.repeat(np.random.default_rng(2).uniform(0.2, 0.9, 20), 60)
+    c = {f"n_cmd_{side}": Channel(t, command, hold="zero") for side in ("left", "right")}
+    c |= {f"n_{side}": Channel(t + 1e-3, 0.98 * command) for side in ("left", "right")}
+    model, _ = fix_parameters(horizontal_model("command"), None, {"c2": 0.0})
+    given = replace(model.parameter("c1"), value=41.5, prior=(41.2, 2.1), origin=ParameterOrigin.PRIOR)
+    model = replace(model, parameters=tuple(given if p.name == "c1" else p for p in model.parameters))
+    found = _command_scale(model, [LoadedLog(LogSegment("run", c), {}, {}, None)])
+    assert found is not None
+    assert not found.matters
+    assert (
+        "shafts turn at 0.980 (run) times full speed, so that their thrust is 0.960 of that at full speed" in found.text
+    )
+    assert "all masses are 1.041 times their true value: give c1 = 39.57 N, and 0.960 of c2" in found.text
 
 
 def test_warning_of_the_scale_of_commands_ends_with_the_scale_that_it_asks_for() -> None:
@@ -364,7 +382,7 @@ def test_warning_of_the_scale_of_commands_ends_with_the_scale_that_it_asks_for()
                 c[f"n_cmd_{side}"] = Channel(t, command, hold="zero")
                 c[f"n_{side}"] = Channel(t + 1e-3, of_shaft * reached * command)
             logs.append(LoadedLog(LogSegment(name, c), {}, {}, None))
-        found = _command_scale_warning(model, logs)
+        found = _command_scale(model, logs)
         return "" if found is None else found.text
 
     (shafts,) = re.findall(r"the scale of the shaft speeds in the import map by ([\d.]+) ", warning())
