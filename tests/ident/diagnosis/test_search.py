@@ -1154,7 +1154,7 @@ def test_single_log_is_cross_validated_and_the_answer_reports_it() -> None:
     assert len(found.after.validation) == 5
     values = {v.record.name: v.values[list(v.model.values).index("eps_LR")] for v in found.after.validation}
     assert len(set(values.values())) == 5  # Each value is estimated from the other blocks.
-    assert "the fit to the others" in diagnosis_answer(found, None, 10.0)
+    assert "predicted by a fit to the other blocks" in diagnosis_answer(found, None, 10.0)
 
 
 @pytest.mark.slow

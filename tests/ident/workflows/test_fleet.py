@@ -12,6 +12,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -304,6 +305,19 @@ def test_a_fit_starts_at_the_estimates_of_its_score_tests(logs: list[Path], monk
     assert fit.converged
     assert fit.iterations < tested[0].nominal.fit.iterations / 2
     assert fit.log_posterior == pytest.approx(tested[0].nominal.fit.log_posterior, abs=5.0)
+
+
+@pytest.mark.parametrize("matters", [False, True])
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_a_small_loss_of_thrust_at_full_command_is_a_note(
+    logs: list[Path], monkeypatch: pytest.MonkeyPatch, matters: bool
+) -> None:
+    scale = SimpleNamespace(text="The thrust at full command is smaller.", matters=matters)
+    monkeypatch.setattr("seatrial.ident.workflows.vehicle._command_scale", lambda model, loaded: scale)
+    request = VehicleRequest([logs[0]], [], Path(), fixed={"c1": 40.0, "c2": 1.1}, score_tests=False)
+    result = fit_vehicle(request, "", QUIET, with_dynamics=False).result
+    assert (scale.text in result.notes) is not matters
+    assert (("command-scale", scale.text) in [(w.code, w.text) for w in result.warnings]) is matters
 
 
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
