@@ -63,8 +63,8 @@ interval {large_interval}), and {large_found} are found. {held} of {kept} masses
 errors.
 
 On {n_clean} boats with the small imperfections alone, {n_clean_found} effects are called identified ({clean_found}), of
-which {clean_wrong} are not in the boat (95 % interval of such boats: {clean_interval} %). {clean_likened} boats are told
-of an ambiguous effect that they do not have.
+which {clean_wrong} are not in the boat (95 % interval of such boats: {clean_interval} %). {clean_likened} boats are
+told of an ambiguous effect that they do not have.
 
 ## How certain a name is
 

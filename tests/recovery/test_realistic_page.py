@@ -41,7 +41,8 @@ def test_counts_of_the_page() -> None:
     assert certainty(rows)[2][:4] == ["ambiguous", "1", "1", "100 %"]
     assert "3 of 6 masses and inertias are within three standard errors." in text
     assert "On 1 boats with the small imperfections alone, 2 effects are called identified (mooring, wind)" in text
-    assert "of which 1 are not in the boat." in text
+    assert "of which 1 are not in the boat (95 % interval of such boats: " in text
+    assert "2 of the identified names are wind, which is in every boat. Of the 3 others, 1 are right." in text
     assert "| 0.50 |" in document(rows)
 
 
