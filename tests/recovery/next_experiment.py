@@ -40,13 +40,13 @@ from tests.recovery.kinds import Case, boat_of
 from tests.recovery.logged import UNCERTAIN_THRUST, diagnosed, seatrial, write_logs
 from tests.recovery.verdict import answers, identified
 
-# Diagnoses in docs/data/realistic-boats.jsonl in which the true effect is ambiguous and a competing effect is named.
+# Diagnoses that were ambiguous, or called the true effect ambiguous, when docs/data/next-experiment.jsonl was made.
 CASES = (
-    Case("thrust-angle", 92, "realistic"),
-    Case("delay", 41, "realistic-double"),
-    Case("delay", 41, "realistic"),
-    Case("delay", 66, "realistic"),
-    Case("delay", 72, "realistic"),
+    Case("thrust-angle", 41, "realistic"),
+    Case("current-drift", 41, "realistic"),
+    Case("propeller-walk", 41, "realistic-double"),
+    Case("shallow-water", 41, "realistic-double"),
+    Case("yaw-bias", 41, "realistic-double"),
 )
 SECONDS = 250.0
 BEFORE, DESIGNED, MIXED = "before", "designed", "mixed"
