@@ -10,8 +10,9 @@ import numpy as np
 from seatrial.ident.data import Channel
 from seatrial.ident.numerics import Array, mean_error, steady_segments, welch_spectrum
 
-# s: time that is left out after a change of command, and time before the next change over which is averaged
+# s: time that is left out after a change of command, and least time before the next change over which is averaged
 SETTLED_S, AVERAGED_S = 1.0, 0.6
+AVERAGED_SHARE = 0.5  # of a longer command; its first half may still have a transient of the flow in the pool
 MIN_SAMPLES = 4  # of a signal in that time; with fewer it has no mean
 EXPO_BOUNDS = (-1.0, 1.0)  # range of MOT_THST_EXPO: -1 is a root, 0 a line, 1 a square
 LEAST_W = 1.0  # W, smallest electrical power with an efficiency
@@ -50,8 +51,8 @@ class SteadyRow:
 def steady_rows(channels: Mapping[str, Channel], command: str, speed: str, bias: float = 0.0) -> list[SteadyRow]:
     """Return the steady-state table of a bench log: a row for each command that was held for 1.6 s or longer.
 
-    A row has means over the last 0.6 s of its command. A quantity with fewer than four samples in this time is NaN, and
-    a row without a shaft speed is left out.
+    A row has means over the second half of its command, or its last 0.6 s if this is longer. A quantity with fewer than
+    four samples in this time is NaN, and a row without a shaft speed is left out.
 
     Parameters
     ----------
@@ -69,8 +70,9 @@ def steady_rows(channels: Mapping[str, Channel], command: str, speed: str, bias:
     for steady in steady_segments(held.t, held.value, end_of_log):
         if steady.duration < SETTLED_S + AVERAGED_S:
             continue
-        inside = {n: _inside(channels.get(n), steady.end) for n in (speed, "force", "voltage", "current", "power")}
-        inside["torque"] = _inside(channels.get("torque"), steady.end)
+        begin = steady.end - max(AVERAGED_S, AVERAGED_SHARE * steady.duration)
+        names = (speed, "force", "voltage", "current", "power", "torque")
+        inside = {n: _inside(channels.get(n), begin, steady.end) for n in names}
         mean = {n: float(v.mean()) if v.size >= MIN_SAMPLES else np.nan for n, v in inside.items()}
         if np.isnan(mean[speed]):
             continue
@@ -86,11 +88,11 @@ def steady_rows(channels: Mapping[str, Channel], command: str, speed: str, bias:
     return rows
 
 
-def _inside(channel: Channel | None, end: float) -> Array:
-    """Return the finite values of a channel in the 0.6 s before ``end`` [s], without the end; empty for None."""
+def _inside(channel: Channel | None, begin: float, end: float) -> Array:
+    """Return the finite values of a channel from ``begin`` [s] to before ``end`` [s]; empty for None."""
     if channel is None:
         return np.empty(0)
-    found: Array = channel.value[(channel.t >= end - AVERAGED_S) & (channel.t < end)]
+    found: Array = channel.value[(channel.t >= begin) & (channel.t < end)]
     return found[np.isfinite(found)]
 
 

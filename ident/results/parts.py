@@ -983,9 +983,10 @@ class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag=
 
 
 class SteadyBench(Part, frozen=True, kw_only=True):
-    """Steady-state table of the bench logs: means over the last 0.6 s of each command that was held for 1.6 s.
+    """Steady-state table of the bench logs: means over the second half of each command that was held for 1.6 s.
 
-    A quantity that was not measured is null in every row. `steady.csv` has the same rows.
+    The means are over at least 0.6 s. A quantity that was not measured is null in every row. `steady.csv` has the same
+    rows.
     """
 
     log: Annotated[tuple[str, ...], Meta(description="name of the log of each row")]

@@ -53,7 +53,7 @@ def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
         "For other programs: steady.csv has this table"
         + (", and lookup.csv the command for each force." if result.static is not None else ".")
     )
-    lead = "Means over the last 0.6 s of each command that was held for 1.6 s or longer."
+    lead = "Means over the second half of each command that was held for 1.6 s or longer, and over at least 0.6 s."
     blocks = [Grid(plots, 260), _steady_table(table), Lines(notes, "quiet")]
     return Section("steady", "Steady states", blocks, lead)
 
