@@ -22,9 +22,9 @@ MUCH_WORSE = 1.5
 POSITIONS = ("x", "y")
 JOINT_LEVEL = 0.05  # significance level of the joint test
 AGREE, DIFFER = 2.0, 3.0  # standard errors up to which two sizes agree, and from which they differ
-# Parameters whose q values are adjusted together: those of the boat, those of sensors, wind and other surroundings, and
-# those of noise and disturbances
-Family = Literal["boat", "surroundings", "noise"]
+# Parameters whose q values are adjusted together: masses, thrust and combinations; single coefficients of the hull;
+# those of sensors, wind and other surroundings; those of noise and disturbances
+Family = Literal["boat", "coefficients", "surroundings", "noise"]
 NotComparedCode = Literal[
     "fixed", "per-log", "in-some-models", "position", "at-bound", "vague", "undetermined", "mainly-prior", "other"
 ]
@@ -102,9 +102,10 @@ class ParameterDifference(Difference, frozen=True, kw_only=True):
     family: Annotated[
         Family,
         Meta(
-            description="parameters with which the q value is adjusted: `boat` (hull and thrust, and combinations), "
-            "`surroundings` (effects of sensors, wind and other surroundings), or `noise` (noise, disturbances and "
-            "offsets of sensors); `boat` in a result of an earlier version"
+            description="parameters with which the q value is adjusted: `boat` (masses, inertia, thrust and "
+            "combinations), `coefficients` (single coefficients of the hull), `surroundings` (effects of sensors, wind "
+            "and other surroundings), or `noise` (noise, disturbances and offsets of sensors); `boat` in a result of "
+            "an earlier version"
         ),
     ] = "boat"
 

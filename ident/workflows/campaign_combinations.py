@@ -90,8 +90,21 @@ def combinations_of(fitted: FittedLogs, reasons: Reasons) -> tuple[list[Combinat
     """
     dampings = (_damping(fitted, d, reasons) for d in DAMPING)
     thrusts, not_compared = _thrusts(fitted, reasons)
-    found = [*filter(None, dampings), *thrusts]
+    found = [*filter(None, [_load(fitted, reasons), *dampings]), *thrusts]
     return [c for c in found if _is_determined(c, fitted)], not_compared
+
+
+def _load(fitted: FittedLogs, reasons: Reasons) -> Combination | None:
+    """Return the mean of the masses in surge and sway, which a load raises both by its mass; None without both.
+
+    The masses of a scale that is unknown are ratios to the thrust, to which a load adds no common number.
+    """
+    names = ["m_u", "m_v"]
+    if any(reasons.get(n, ("", "")) is not None for n in names):
+        return None
+    weights = np.array([0.5, 0.5])
+    words = "mean of the masses in surge and sway"
+    return _combination(fitted, ("mass, mean of m_u, m_v", words, "kg"), names, lambda x: (float(weights @ x), weights))
 
 
 def _is_determined(combination: Combination, fitted: FittedLogs) -> bool:

@@ -48,6 +48,8 @@ LEAST_FACTOR = 3  # parameters that a common factor needs
 FEW_LOGS = 6  # with up to so many logs of both campaigns, intervals by Student's t are at least 1.4 times as wide
 MOST_NAMED = 4  # parameters that the note on few logs names
 NOMINAL = ("c1", "c2", "k_thrust", "c1/T", "c2/T")  # the thrust itself, to which the other parameters are proportional
+# Parameters whose change is a change of the boat as it is: masses, inertia and thrust
+MAIN = ("m_u", "m_v", "m_r", "c1", "c2")
 Values = dict[str, float]
 
 
@@ -90,7 +92,7 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
     found, without = combinations_of(fitted, reasons)
     every = _with_combinations(fitted, found)
     differences = {name: _difference(every, name) for name in (*names, *(c.name for c in found))}
-    tests = _tests(differences, {n: _family(fitted.rows[0][n]) for n in names}, false_discovery_rate)
+    tests = _tests(differences, {n: _family(n, fitted.rows[0][n]) for n in names}, false_discovery_rate)
     parameters = tuple(_parameter(fitted, n, differences[n], tests[n]) for n in names)
     combinations = tuple(
         CombinationDifference(parameters=c.parameters, **_compared(every, c.name, differences[c.name], tests[c.name]))
@@ -180,12 +182,17 @@ def _with_combinations(fitted: FittedLogs, combinations: Sequence[Combination]) 
     return FittedLogs(fitted.logs, fitted.after, tuple(rows))
 
 
-def _family(row: Row) -> Family:
-    """Return the family of a parameter, from its row of one log."""
+def _family(name: str, row: Row) -> Family:
+    """Return the family of a parameter, from its name and its row of one log."""
     effect = catalogue().get(row["effect"] or "")
     if row["nuisance"]:
         return "noise"
-    return "surroundings" if effect is not None and effect.place in ("sensor", "environment") else "boat"
+    if effect is not None and effect.place in ("sensor", "environment"):
+        return "surroundings"
+    if effect is not None and effect.thrust_difference == name:
+        return "boat"
+    is_main = row["effect"] is None and name.partition("/")[0] in MAIN
+    return "boat" if is_main else "coefficients"
 
 
 def _tests(
@@ -239,7 +246,8 @@ def _parameter(fitted: FittedLogs, name: str, found: CampaignDifference, test: _
     """Return the entry of the result for one compared parameter."""
     row = next(r[name] for r in fitted.part(fitted.known(name)).rows)
     return ParameterDifference(
-        effect=row["effect"], nuisance=row["nuisance"], family=_family(row), **_compared(fitted, name, found, test)
+        effect=row["effect"], nuisance=row["nuisance"], family=_family(name, row),
+        **_compared(fitted, name, found, test),
     )  # fmt: skip
 
 

@@ -21,8 +21,13 @@ from seatrial.ident.results import (
 
 NOT_COMPARED = "not compared"  # effect of which no parameter tells whether it is present
 VALUES = {"before": "values before", "changed": "with the changes", "after": "values after"}
-# Titles of the families of parameters in the table of changes; those of the boat come first, without a title
-FAMILIES = {"boat": "", "surroundings": "Sensors and surroundings", "noise": "Noise, disturbances and offsets"}
+# Titles of the families of parameters in the table of changes; masses and thrust come first, without a title
+FAMILIES = {
+    "boat": "",
+    "coefficients": "Single coefficients of the hull",
+    "surroundings": "Sensors and surroundings",
+    "noise": "Noise, disturbances and offsets",
+}
 COLORS = {"before": drawing.BEFORE, "after": drawing.MODEL}
 SYMBOLS = {"before": "circle-open", "after": "circle"}
 SHORT_UNIT = 3  # characters; with longer ones beside the numbers the table is wider than a window (it has them once)
@@ -108,9 +113,9 @@ def changes_section(result: CampaignsResult) -> Section:
         ("before ± s.e.", "num"), ("after ± s.e.", "num"), ("found from", "num"), ("scatter", "num"), ("p", "num"),
     )  # fmt: skip
     together = sorted(result.combinations, key=lambda c: not c.changed)
-    rows: list[list[Cell | str]] = []
+    rows: list[list[Cell | str]] = [_cells(p) for p in result.parameters if p.changed]
     for family, title in FAMILIES.items():
-        if own := [p for p in result.changed_first if p.family == family]:
+        if own := [p for p in result.parameters if p.family == family and not p.changed]:
             rows += [[Cell(title)]] if title else []
             rows += [_cells(p) for p in own]
     blocks: list[Any] = [Table(columns, rows, stacked=True)] if rows else []
@@ -121,7 +126,8 @@ def changes_section(result: CampaignsResult) -> Section:
         "Means of the separate fits to the logs, with the scatter between logs as a random effect (REML) and intervals "
         "by Student's t (Hartung and Knapp). A parameter has changed if q, the p value adjusted for the number of "
         "parameters and combinations of its family (Benjamini and Hochberg), is at most "
-        f"{100 * result.false_discovery_rate:g} %. Families are the boat, sensors and surroundings, and noise. "
+        f"{100 * result.false_discovery_rate:g} %. Families are masses, thrust and combinations; single "
+        "coefficients; sensors and surroundings; noise. "
         "Found from: size from which on a change would have been found. "
         "Changed ones come first. A combination, such as the drag at a speed of the logs, may be known better than "
         "each of its parameters."
