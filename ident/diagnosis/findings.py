@@ -498,6 +498,9 @@ class Diagnosis:
         not added.
     uncertainty
         Shifts of the estimates of ``after`` by effects that it lacks. None if there are none.
+    untried_waves
+        Frequency [Hz] of a significant peak in the spectrum of the innovations of ``after``, as of waves, if the search
+        did not try waves because the model has common errors. None otherwise.
     """
 
     before: FittedModel
@@ -520,6 +523,7 @@ class Diagnosis:
     policy: SearchPolicy = DEFAULT_POLICY
     common_errors: CommonErrorsFit | None = None
     uncertainty: ModelUncertainty | None = None
+    untried_waves: float | None = None
 
     @property
     def effects(self) -> tuple[Refit, ...]:

@@ -296,7 +296,20 @@ def diagnose(
         untried_scores=tuple(search.untried),
         policy=search.policy,
         common_errors=search.common_errors,
+        untried_waves=_untried_waves(search, WAVES in start.candidates, current),
     )
+
+
+def _untried_waves(search: _Search, requested: bool, current: FittedModel) -> float | None:
+    """Return the frequency [Hz] of the waves that the innovations of the last model show and the search did not try.
+
+    None if the innovations have no significant spectral peak, if waves were not requested, or if the model has no
+    common errors, so that waves were a candidate.
+    """
+    if search.common_errors is None or not requested:
+        return None
+    score = wave_peak_score(current, search.policy)
+    return None if score is None else score.scan["f_wave"]
 
 
 @dataclass(frozen=True)

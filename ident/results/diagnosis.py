@@ -319,6 +319,8 @@ def diagnosis_answer(
             "Without --validate, the model is validated by blocked cross-validation: each block of time of the "
             "estimation data is predicted by a fit to the other blocks."
         )
+    if not diagnosis.effects and diagnosis.untried_waves is not None:
+        sentences.append(_waves_sentence(diagnosis.untried_waves))
     if diagnosis.excluded:
         effect = "this effect" if len(diagnosis.excluded) == 1 else "one of these effects"
         sentences.append(
@@ -326,6 +328,16 @@ def diagnosis_answer(
             f"contain {effect}, other effects or the disturbance forces stand for it."
         )
     return " ".join(sentences)
+
+
+def _waves_sentence(frequency: float) -> str:
+    """Return the sentence on waves that the residuals show, and that the search did not try."""
+    return (
+        f"The errors one step ahead have a narrow spectral peak at {format_number(frequency)} Hz, as of waves. Beside "
+        "common errors the search adds no waves, because predictions some seconds ahead are hardly better with them; "
+        "`seatrial ident vehicle --effect waves` estimates them, which can improve short predictions and standard "
+        "errors, and a diagnosis of that model may find more."
+    )
 
 
 def _worse_simulation_sentence(errors: parts.Errors) -> str:
@@ -1253,6 +1265,8 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     notes = [f"Names for --effect: {', '.join(named)}."] if named else []
     notes += common_errors_notes(diagnosis.common_errors, "the effects")
     notes += [f"The data exclude {r.effect.title}, which was not tested: {r.reason}." for r in diagnosis.refuted]
+    if diagnosis.effects and diagnosis.untried_waves is not None:
+        notes.append(_waves_sentence(diagnosis.untried_waves))
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
             again = ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -26,6 +27,7 @@ from seatrial.ident.diagnosis.findings import (
     UntestedCandidate,
     ValidationMismatch,
 )
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.diagnosis.search import _Search, _with_initial_values, diagnose, evaluate_diagnosis
 from seatrial.ident.effects.registry import catalogue
@@ -344,6 +346,33 @@ def test_unexplained_residuals_name_the_score_test_that_contradicts_the_model() 
     assert "can find what the tests of whiteness and of the correlations with the inputs miss." in answer
     of_titles = replace(found, rounds=(Round(scores[:1], ("wind",), (rejected,), None),))
     assert "most clearly that of steady wind (p = 9e-09)" in diagnosis_answer(of_titles, None, 10.0)
+
+
+def test_waves_that_were_not_tried_are_named() -> None:
+    """The answer has them if nothing else is missing, otherwise a note."""
+    words = "have a narrow spectral peak at 0.55 Hz, as of waves."
+    found = Diagnosis(blank(), blank(cross_validated=False), (), (), (), untried_waves=0.546875)
+    assert words in diagnosis_answer(found, None, 10.0)
+    assert words not in diagnosis_answer(replace(found, untried_waves=None), None, 10.0)
+    chosen = refit("bias", 60.0)
+    with_effect = replace(
+        found, rounds=(Round((), (), (chosen,), chosen),), attributions=(EffectAttribution("bias", "identified"),)
+    )
+    assert words not in diagnosis_answer(with_effect, None, 10.0)
+    assert any(words in note for note in _notes(with_effect, GivenModel("model.toml")))
+
+
+@pytest.mark.parametrize(
+    ("common", "requested", "frequency"), [(True, True, 0.5), (True, False, None), (False, True, None)]
+)
+def test_waves_are_looked_for_beside_common_errors_only(
+    common: bool, requested: bool, frequency: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without common errors waves are a candidate of the search itself."""
+    peak = Score("waves", 90.0, 5, 90.0, {}, {"f_wave": 0.5})
+    monkeypatch.setattr(search, "wave_peak_score", lambda fitted, policy: peak)
+    state: Any = SimpleNamespace(common_errors=object() if common else None, policy=DEFAULT_POLICY)
+    assert search._untried_waves(state, requested, blank()) == frequency
 
 
 def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
