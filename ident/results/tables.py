@@ -894,9 +894,9 @@ def thrust_difference_warnings(found: ModelUncertainty | None, fit: Fit, weighed
     text = (
         f"{compared} thrusts of both sides differ by {whole} of their mean. The motion does not show which side "
         f"deviates from the given thrust. So all masses, damping and forces may be {share} too large or too small, and "
-        f"their standard errors include this. {_side_by_weighed_mass(found, fit, weighed)}If you know which side has the "
-        "given thrust, name it with --thrust-of (left or right). Otherwise measure the thrust of both sides as they "
-        "are now (seatrial bench)."
+        f"their standard errors include this. {_side_by_weighed_mass(found, fit, weighed)}If you know which side has "
+        "the given thrust, name it with --thrust-of (left or right). Otherwise measure the thrust of both sides as "
+        "they are now (seatrial bench)."
     )
     return [ResultWarning(code="thrust-sides-differ", text=text)]
 
