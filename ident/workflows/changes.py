@@ -133,7 +133,7 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
             "--thrust-of: a comparison of campaigns does not assume that one thruster has kept its thrust; leave the "
             "option out"
         )
-    if is_saved_model(request.vehicle.model):
+    if is_saved_model(request.vehicle.model) or ":thrust-of-" in request.vehicle.model:
         request = replace(request, vehicle=replace(request.vehicle, thrust_of="unknown"))
     code = checked_code(request.vehicle)
     before, after = (hashed_logs(paths, reporter) for paths in (request.before, request.after))

@@ -247,11 +247,26 @@ def test_a_diagnosis_that_finds_the_mismatch_keeps_the_side_with_the_given_thrus
     assert {p.name: p.value for p in told.result.fit.parameters}["m_u"] == pytest.approx(rows["m_u"].value, rel=0.01)
 
 
-def test_a_comparison_of_campaigns_does_not_take_the_side_with_the_given_thrust(different: Path) -> None:
+def test_a_comparison_of_campaigns_does_not_take_the_side_with_the_given_thrust(
+    different: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither from an option nor from the model: what has changed may be this side."""
     with pytest.raises(SeatrialError, match="does not assume that one thruster has kept its thrust"):
         st.compare_campaigns(different, different, thrust_of="right")
     arguments = ["changes", "--before", str(different), "--after", str(different), "--thrust-of", "right"]
     assert CliRunner().invoke(ident, arguments).exit_code == 2
+    asked = []
+
+    def noted(logs: Any, request: Any, *_: Any) -> Any:
+        asked.append(request.vehicle.thrust_of)
+        raise SeatrialError("enough")
+
+    monkeypatch.setattr("seatrial.ident.workflows.changes.fit_logs", noted)
+    other = imported(tmp_path, "other", TABLES, seconds=60.0)
+    for model in ("horizontal:shaft:thrust-of-right", "horizontal:shaft"):
+        with pytest.raises(SeatrialError, match="enough"):
+            st.compare_campaigns(different, other, model, common_errors=False)
+    assert asked == ["unknown", None]
 
 
 def test_thrust_ahead_alone_is_the_thrust_ahead(tmp_path: Path) -> None:
