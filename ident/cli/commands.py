@@ -47,6 +47,7 @@ from seatrial.ident.cli.options import (
     resumed_out_option,
     robust_option,
     run_workflow,
+    thrust_of_option,
     trust_option,
     validate_option,
     with_estimation_options,
@@ -454,6 +455,7 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json:
     score_tests=False,
     why="Off, because effects would be added in some logs and not in others; the scatter between the logs contains "
     "what the model lacks. `ident fleet` has the tests on by default.",
+    sides=False,
 )
 @robust_option
 @reml_option()
@@ -527,6 +529,7 @@ def changes(
     help="The static curve (model.toml) that the boat's MODEL was fitted with; if MODEL is a thruster's and the logs "
     "have several thrusters, its name in the rig.",
 )
+@thrust_of_option
 @fix_option
 @mass_option
 @robust_option

@@ -491,11 +491,11 @@ def _parse_mean_order(
     return None if second is None else 2 if second else 1
 
 
-def model_options(score_tests: bool = True, why: str = "") -> Callable[..., Any]:
+def model_options(score_tests: bool = True, why: str = "", sides: bool = True) -> Callable[..., Any]:
     """Return a decorator that adds the options of the model of a boat and of its fit to a command.
 
-    The command receives ``model``, ``thruster``, ``fixed``, ``initial``, ``priors``, ``effects``, ``mass`` and
-    ``score_tests``.
+    The command receives ``model``, ``thruster``, ``thrust_of``, ``fixed``, ``initial``, ``priors``, ``effects``,
+    ``mass`` and ``score_tests``.
 
     Parameters
     ----------
@@ -503,6 +503,8 @@ def model_options(score_tests: bool = True, why: str = "") -> Callable[..., Any]
         Default of ``--score-tests``.
     why : str
         Reason for this default, which the help adds to the description; empty: none.
+    sides : bool
+        Whether the command has the option ``--thrust-of``.
     """
     words = f"{SCORE_TESTS} {why}".rstrip()
 
@@ -510,7 +512,7 @@ def model_options(score_tests: bool = True, why: str = "") -> Callable[..., Any]
         """Add the options to the command, so that its help lists them in their order."""
         f = click.option("--score-tests/--no-score-tests", default=score_tests, show_default=True, help=words)(f)
         for option in reversed(MODEL_OPTIONS):
-            f = option(f)
+            f = option(f) if sides or option is not thrust_of_option else f
         return f
 
     return decorated
@@ -528,6 +530,14 @@ mass_option = click.option(
     help="Weighed mass of the boat in kg. A warning tells if the estimated mass in surge is below it or above 1.3 "
     "times it, both by more than two standard errors, or above twice it. It is no prior.  "
     "[default: `mass` in [vehicle] of the rig file, or in [geometry] of the import map]",
+)
+
+
+thrust_of_option = click.option(
+    "--thrust-of",
+    type=Choice(("left", "right", "both", "unknown")),
+    help="Thruster that has the given thrust, if the thrusts of both sides differ; both: their mean has it. Masses, "
+    "damping and their standard errors follow from it.  [default: unknown, or that of a model.toml]",
 )
 
 
@@ -559,6 +569,7 @@ MODEL_OPTIONS = (
         type=MODEL,
         help="model.toml of the bench, or its folder: c1 and c2, or the static curve from command to thrust.",
     ),
+    thrust_of_option,
     fix_option,
     click.option(
         "--initial",

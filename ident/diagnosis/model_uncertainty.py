@@ -16,6 +16,7 @@ difference: with a half difference e, the left thrust is (1 + e) and the right t
 both are this times an unknown factor. If one side alone differs from its curve, because its propeller is fouled or
 damaged, the factor is 1 - e or 1 + e. So a relative standard deviation of e is added to all masses and force
 coefficients. If a mass has a prior too, the scale follows the given thrust only by its share in the precision of both.
+Nothing is added if the user knows which side has the given thrust (`with_thrust_of`).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from seatrial.ident.diagnosis.findings import ModelUncertainty
 from seatrial.ident.diagnosis.score_test import Score, ScoreEquations
 from seatrial.ident.estimation import Fit, thrust_scale_of
 from seatrial.ident.model import Effect, Model, Parameter, ParameterOrigin
-from seatrial.ident.models import force_power
+from seatrial.ident.models import force_power, thrust_of
 from seatrial.ident.numerics import Array
 
 CONTAINED = 9.0  # rise of the variance of a size by a curve, relative to it, from which the curve contains the size
@@ -160,8 +161,11 @@ def _thrust_differences(
 
     A candidate counts with its one-step estimate (``steps``, by candidate and parameter), times its score statistic
     over the largest one: if another candidate explains more, the difference may be due to it. The list is empty if
-    neither the model nor a candidate that passes has such a difference.
+    neither the model nor a candidate that passes has such a difference, or if it is known which side has the given
+    thrust: the scale of the forces then follows from it.
     """
+    if thrust_of(model):
+        return []
     found = [model.values[e.thrust_difference] for e in model.effects if e.thrust_difference]
     largest = max((s.lm for s in passing), default=0.0)
     for score in passing:

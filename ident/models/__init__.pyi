@@ -45,6 +45,8 @@ from .horizontal import horizontal_model as horizontal_model
 from .horizontal import shift_in_time as shift_in_time
 from .horizontal import shortest_lag as shortest_lag
 from .horizontal import symmetric_arms as symmetric_arms
+from .horizontal import thrust_of as thrust_of
+from .horizontal import with_thrust_of as with_thrust_of
 from .kinematic import kinematic_model as kinematic_model
 from .published_values import ARM as ARM
 from .published_values import TABLE_2 as TABLE_2

@@ -184,8 +184,9 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
         Whole name, for messages, and source of a model with a random-walk current.
     options : Sequence[str]
         Options behind the name, in any order: ``shaft`` (default), ``command``, ``force`` or ``general``;
-        ``no-current``, ``random-walk-current``; ``symmetric-arms``. Of several inputs, the first is used. With both
-        options of the current, it is a random walk from zero, without a constant part.
+        ``no-current``, ``random-walk-current``; ``symmetric-arms``; ``thrust-of-left``, ``thrust-of-right`` or
+        ``thrust-of-both``. Of several inputs, the first is used. With both options of the current, it is a random walk
+        from zero, without a constant part.
     sensors : Sequence[str], optional
         Names of the sensors that the log contains. Other sensors are left out. None, or no sensor of the model: the
         standard sensors.
@@ -195,10 +196,17 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
     SeatrialError
         If an option is unknown, or if ``symmetric-arms`` and ``general`` (no thrusters) are combined.
     """
-    from seatrial.ident.models.horizontal import SENSORS, STANDARD, SYMMETRIC, horizontal_model, symmetric_arms
+    from seatrial.ident.models.horizontal import (
+        SENSORS,
+        STANDARD,
+        SYMMETRIC,
+        THRUST_OF,
+        horizontal_model,
+        symmetric_arms,
+    )
 
     kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
-    unknown = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
+    unknown = [o for o in options if o not in (*kinds, *currents, SYMMETRIC, *THRUST_OF.values())]
     if unknown or (SYMMETRIC in options and "general" in options):
         others = f"{', '.join(currents)} or {SYMMETRIC} (not with general, which has no thrusters)"
         raise SeatrialError(f"no model {source!r}; after horizontal: give one of {', '.join(kinds)}, and {others}")
@@ -207,7 +215,18 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
     current = "no-current" not in options
     model = horizontal_model(propulsion, tuple(chosen or STANDARD), current=current)
     model = symmetric_arms(model) if SYMMETRIC in options else model
-    return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
+    model = replace(model + current_walk(), source=source) if "random-walk-current" in options else model
+    return _with_thrust_of_options(model, options)
+
+
+def _with_thrust_of_options(model: Model, options: Sequence[str]) -> Model:
+    """Return the model with the given thrust for the side that an option names; unchanged without such an option."""
+    from seatrial.ident.models.horizontal import THRUST_OF, with_thrust_of
+
+    for of, option in THRUST_OF.items():
+        if option in options:
+            return with_thrust_of(model, of)
+    return model
 
 
 def _nomoto_by_options(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
@@ -247,7 +266,8 @@ def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence
         Whole name, for messages, and source of a model with a random-walk current.
     options : Sequence[str]
         Options behind the name. The first is ``shaft`` or ``force``; without options, ``shaft`` is used. The others are
-        ``yaw``, ``no-current``, ``random-walk-current`` and ``symmetric-arms``, in any order. With both options of the
+        ``yaw``, ``no-current``, ``random-walk-current``, ``symmetric-arms`` and ``thrust-of-left``, ``-right`` or
+        ``-both``, in any order. With both options of the
         current, it is a random walk from zero, without a constant part.
     sensors : Sequence[str], optional
         Names of the sensors that the log contains. Other sensors are left out. None, or no sensor of the model: all
@@ -258,24 +278,26 @@ def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence
     SeatrialError
         If an option is unknown or at the wrong place.
     """
-    from seatrial.ident.models.horizontal import SYMMETRIC, symmetric_arms
+    from seatrial.ident.models.horizontal import SYMMETRIC, THRUST_OF, symmetric_arms
     from seatrial.ident.models.kinematic import SEEN, kinematic_model
 
     unknown = [
         o
         for k, o in enumerate(options)
-        if o not in (("shaft", "force"), ("yaw", "no-current", "random-walk-current", SYMMETRIC))[k > 0]
+        if o
+        not in (("shaft", "force"), ("yaw", "no-current", "random-walk-current", SYMMETRIC, *THRUST_OF.values()))[k > 0]
     ]
     if unknown:
         raise SeatrialError(
             f"no model {source!r}: write kinematic:shaft or kinematic:force, followed by any of :yaw, :no-current, "
-            f":random-walk-current and :{SYMMETRIC}"
+            f":random-walk-current, :{SYMMETRIC} and :{THRUST_OF['left']} (or right, both)"
         )
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
     propulsion: Any = options[0] if options else "shaft"
     model = kinematic_model(propulsion, chosen, current="no-current" not in options, yaw="yaw" in options)
     model = symmetric_arms(model) if SYMMETRIC in options else model
-    return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
+    model = replace(model + current_walk(), source=source) if "random-walk-current" in options else model
+    return _with_thrust_of_options(model, options)
 
 
 def own_model(source: str) -> Model:

@@ -30,6 +30,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from seatrial.daq.errors import SeatrialError
 from seatrial.ident.model import (
     HISTORY_STEP,
     INF,
@@ -58,6 +59,8 @@ Propulsion = Literal["shaft", "command", "force", "general"]
 SIDES = ("left", "right")
 BUILT_IN = ParameterOrigin.BUILT_IN
 SYMMETRIC = "symmetric-arms"  # option in the name of a model
+# Options in the name of a model by what has the given thrust, if the thrusts of both sides differ (`with_thrust_of`)
+THRUST_OF = {of: f"thrust-of-{of}" for of in (*SIDES, "both")}
 
 HULL = (
     Parameter("m_u", TABLE_1["m_u"], "kg", "surge mass with added mass", "log"),
@@ -405,6 +408,61 @@ def symmetric_arms(model: Model) -> Model:
     """
     own = tuple(p for p in model.parameters if p.name not in ("y_left", "y_right"))
     return replace(model, parameters=(*own, *UNKNOWN_ARM), source=f"{model.source}:{SYMMETRIC}")
+
+
+def with_thrust_of(model: Model, of: str) -> Model:
+    """Return the model with the given thrust for one side alone, or for the mean of both.
+
+    An effect that makes the thrusts of both sides differ then leaves the thrust of the named side unchanged. The option
+    ``thrust-of-left``, ``thrust-of-right`` or ``thrust-of-both`` is part of the source of the model, in the place of
+    an earlier one. The model given is not changed.
+
+    Parameters
+    ----------
+    model : Model
+        Model with two thrusters, horizontal or kinematic.
+    of : str
+        Side with the given thrust, ``left`` or ``right``; ``both``: the given thrust is the mean of both sides;
+        ``unknown``: the option is removed, and any other model is returned unchanged.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such side, or if the model is not one of these.
+    """
+    name, *options = model.source.split(":")
+    others = [o for o in options if o not in THRUST_OF.values()]
+    stages = tuple(stage for stage in model.stages if stage[0] != "thrust_of")
+    if of == "unknown":
+        return model if others == options else replace(model, stages=stages, source=":".join([name, *others]))
+    if of not in THRUST_OF:
+        raise SeatrialError(f"--thrust-of {of}: there is no such side; give left, right, both or unknown")
+    if name not in ("horizontal", "kinematic") or "general" in options:
+        raise SeatrialError(
+            f"--thrust-of {of}: the model {model.source or model.name} has no thrust for each side; leave the option "
+            "out, or take horizontal or kinematic with --model"
+        )
+    stages = (("thrust_of", SET_THRUST_OF[of]), *stages)
+    return replace(model, stages=stages, source=":".join([name, *others, THRUST_OF[of]]))
+
+
+def thrust_of(model: Model) -> str:
+    """Return what has the given thrust by `with_thrust_of`: ``left``, ``right`` or ``both``; empty: it is unknown."""
+    options = model.source.split(":")[1:]
+    return next((of for of, option in THRUST_OF.items() if option in options), "")
+
+
+def _thrust_of_left(s: Signals) -> None:
+    """Set ``s.thrust_of`` to ``left``: this side has the given thrust."""
+    s.thrust_of = "left"
+
+
+def _thrust_of_right(s: Signals) -> None:
+    """Set ``s.thrust_of`` to ``right``: this side has the given thrust."""
+    s.thrust_of = "right"
+
+
+SET_THRUST_OF: dict[str, ModelFunction] = {"left": _thrust_of_left, "right": _thrust_of_right, "both": unchanged}
 
 
 def force(s: Signals) -> None:

@@ -42,6 +42,7 @@ from seatrial.ident.results import (
     ONLY_CHOSEN,
     RUNS_AWAY,
     SIMULATION_COVERS,
+    THRUST_KNOWN,
     CampaignErrors,
     CampaignsResult,
     ComparedChannel,
@@ -71,6 +72,8 @@ from seatrial.ident.results import (
     standard_error_sentence,
 )
 
+# Beginnings of the notes that the terminal shows
+SHOWN_NOTES = (SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, ONLY_CHOSEN, THRUST_KNOWN)
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 WIDEST_INTERVALS = 72  # characters of a line of the table of the 95 % intervals
 WIDEST_TEXT = 100  # characters of a line of texts in the table of what differs between models
@@ -589,7 +592,7 @@ def print_result(result: Result, console: Console) -> None:
         )
         print_prose(console, Text(text, style="dim"))
     for note in result.notes:
-        if note == NOT_WEIGHED or note.startswith((SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, ONLY_CHOSEN)):
+        if note == NOT_WEIGHED or note.startswith(SHOWN_NOTES):
             print_prose(console, Text(note, style="dim"))
     for note in result.notes if isinstance(result, FleetResult | CampaignsResult) else ():
         console.print()

@@ -154,6 +154,7 @@ from .result_file import AnyResult as AnyResult
 from .result_file import read_result as read_result
 from .result_file import to_json as to_json
 from .result_file import write_result as write_result
+from .tables import THRUST_KNOWN as THRUST_KNOWN
 from .tables import causes_sentence as causes_sentence
 from .tables import cross_rows as cross_rows
 from .tables import error_rows as error_rows

@@ -81,6 +81,7 @@ from seatrial.ident.results.tables import (
     profile_curve,
     residual_rows,
     thrust_difference_warnings,
+    thrust_of_notes,
     traces,
     tracks,
 )
@@ -227,6 +228,7 @@ def vehicle_result(
             *(untested_notes(fitted.model, posed.effect_parameters) if searchable and untested else ()),
             *common_errors_notes(common, "the model"),
             *model_uncertainty_notes(uncertainty, fitted.fit),
+            *thrust_of_notes(fitted.fit),
             *prior_notes(fitted.fit),
             *mass_notes(fitted.fit, posed.hull.get("mass"), uncertainty),
             *_notes(posed.notes, evaluation, calibration),

@@ -88,6 +88,7 @@ from seatrial.ident.results.tables import (
     prediction_change,
     residual_rows,
     thrust_difference_warnings,
+    thrust_of_notes,
     traces,
     tracks,
 )
@@ -196,6 +197,7 @@ def diagnosis_result(
             *(assumed_noise_notes(diagnosis.after.fit.model) if diagnosis.effects else ()),
             *alternative_notes(rounds, effects),
             *notes,
+            *thrust_of_notes(diagnosis.after.fit),
             *prior_notes(diagnosis.after.fit),
             *(
                 []

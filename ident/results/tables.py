@@ -29,7 +29,7 @@ from seatrial.ident.estimation import (
     run_differences,
 )
 from seatrial.ident.model import Effect, EffectKind, Flag, ForceCurve, Model, ModelKind, Parameter, segment_name
-from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power
+from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power, thrust_of
 from seatrial.ident.results.parts import (
     CalibrationRow,
     Calibrations,
@@ -894,10 +894,33 @@ def thrust_difference_warnings(found: ModelUncertainty | None, fit: Fit, weighed
     text = (
         f"{compared} thrusts of both sides differ by {whole} of their mean. The motion does not show which side "
         f"deviates from the given thrust. So all masses, damping and forces may be {share} too large or too small, and "
-        f"their standard errors include this. {_side_by_weighed_mass(found, fit, weighed)}Measure the thrust of both "
-        "sides as they are now (seatrial bench)."
+        f"their standard errors include this. {_side_by_weighed_mass(found, fit, weighed)}If you know which side has "
+        "the given thrust, name it with --thrust-of (left or right). Otherwise measure the thrust of both sides as "
+        "they are now (seatrial bench)."
     )
     return [ResultWarning(code="thrust-sides-differ", text=text)]
+
+
+THRUST_KNOWN = "By --thrust-of, the given thrust is that of"  # begins a note that the terminal shows
+
+
+def thrust_of_notes(fit: Fit) -> list[str]:
+    """Return a note on the side that has the given thrust, if the user knows it (`with_thrust_of`); else no note."""
+    of = thrust_of(fit.model)
+    if not of:
+        return []
+    begin = f"{THRUST_KNOWN} {'the mean of both thrusters' if of == 'both' else f'the {of} thruster'}"
+    names = [e.thrust_difference for e in fit.model.effects if e.thrust_difference]
+    if not names:
+        return [f"{begin}. The model has no difference of the sides (effect mismatch), so that both have this thrust."]
+    eps = fit.estimate(names[0])[0]
+    factors = {"left": 1.0 + eps, "right": 1.0 - eps}
+    share = {side: f"{100.0 * factor / factors.get(of, 1.0):.0f} %" for side, factor in factors.items()}
+    rest = " and ".join(f"the {side} one has {words}" for side, words in share.items() if side != of)
+    return [
+        f"{begin}; {rest} of it. Masses, damping and forces follow from it, and their standard errors have no part for "
+        "the side that deviates."
+    ]
 
 
 def sides_compare_mass(found: ModelUncertainty | None, fit: Fit, weighed: float | None) -> bool:

@@ -118,10 +118,23 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     Raises
     ------
     SeatrialError
-        If a campaign has no log, or none whose fit converged, if a log is in both campaigns, or as `fit_fleet`.
+        If a campaign has no log, or none whose fit converged, if a log is in both campaigns, if it is given which
+        thruster has the given thrust, or as `fit_fleet`.
+
+    Notes
+    -----
+    The differences refer to the mean thrust of both sides, also if the model of a file has the given thrust for one
+    side: what has changed may be this side.
     """
     if not (request.before and request.after):
         raise SeatrialError("a comparison needs logs of both campaigns; give one or more before and one or more after")
+    if request.vehicle.thrust_of is not None:
+        raise SeatrialError(
+            "--thrust-of: a comparison of campaigns does not assume that one thruster has kept its thrust; leave the "
+            "option out"
+        )
+    if is_saved_model(request.vehicle.model) or ":thrust-of-" in request.vehicle.model:
+        request = replace(request, vehicle=replace(request.vehicle, thrust_of="unknown"))
     code = checked_code(request.vehicle)
     before, after = (hashed_logs(paths, reporter) for paths in (request.before, request.after))
     twice = {x.sha256: x.name for x in before}

@@ -23,7 +23,7 @@ from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import EstimationOptions, RefittedEffect, fix_parameters, load_model
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
 from seatrial.ident.model import with_outlier_model as with_outliers
-from seatrial.ident.models import effects_for
+from seatrial.ident.models import effects_for, with_thrust_of
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
     DiagnosisResult,
@@ -70,6 +70,9 @@ class DiagnosisRequest:
     thruster
         For a vehicle model: file of the static thrust curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several. None: no curve, and the only thruster.
+    thrust_of
+        Side with the given thrust, ``left`` or ``right``, if the thrusts of both sides differ; ``both``: the given
+        thrust is their mean; ``unknown``. None: what the model says.
     rate
         Rate of the rows [Hz] over which faster sensors are averaged. None: 5 Hz for a slow vehicle without
         accelerometers (`rows_of_search`), 10 Hz for others, 50 Hz for a thruster model.
@@ -93,6 +96,7 @@ class DiagnosisRequest:
     exclude: Sequence[str] = ()
     effects_file: Path | None = None
     thruster: str | None = None
+    thrust_of: str | None = None
     rate: float | None = None
     despite_faults: bool = False
     window: TimeWindows = WHOLE
@@ -210,6 +214,8 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     # The search compares maxima of the plain likelihood of a first-order filter. REML and a second-order filter do not
     # change what is found, and the blind tests were made without them.
     plain = replace(saved.model, second_order=False)
+    if request.thrust_of is not None:
+        plain = with_thrust_of(plain, request.thrust_of)
     check_horizon(horizon, loaded, validation_logs)
     loaded, validation_logs = in_one_frame(plain, loaded, validation_logs, saved.origin)
     model, runs, validation_runs, usual_rate = model_of_logs(

@@ -24,7 +24,7 @@ from seatrial.ident.estimation import (
     with_values_per_log,
 )
 from seatrial.ident.model import Model, ModelKind, ParameterOrigin
-from seatrial.ident.models import is_own_model, thrust_calibration
+from seatrial.ident.models import is_own_model, thrust_calibration, with_thrust_of
 from seatrial.ident.results import NOMOTO, NOMOTO_LAG, UnusedSignal
 from seatrial.ident.workflows.check import with_estimator_errors, with_noise_floors
 from seatrial.ident.workflows.model_inputs import (
@@ -62,6 +62,9 @@ class VehicleRequest:
     thruster
         File of the thrust from a bench test: the model.toml of a thruster model, or of a static curve from command to
         thrust. None: no bench test.
+    thrust_of
+        Side with the given thrust, ``left`` or ``right``, if the thrusts of both sides differ; ``both``: the given
+        thrust is their mean; ``unknown``. None: unknown, or what a model.toml says.
     fixed, initial
         Values of fixed parameters, and initial values of estimated parameters, by name.
     priors
@@ -94,6 +97,7 @@ class VehicleRequest:
     estimation: EstimationOptions = field(default_factory=lambda: EstimationOptions(reml=True, mean_order=2))
     model: str = "auto"
     thruster: Path | None = None
+    thrust_of: str | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
     initial: Mapping[str, float] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -308,7 +312,7 @@ def vehicle_problem(
     if curve is not None:
         model, calibration_notes = with_calibration(model, curve, user_defined=is_own_model(source))
         notes += calibration_notes
-    model = with_effects(model, request.effects)
+    model = with_effects(_with_given_side(model, request), request.effects)
     require_one_frame(model, [*loaded, *validation_logs])
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, fixed_notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
@@ -323,6 +327,11 @@ def vehicle_problem(
     choice = inputs_sentence(model, [*loaded, *validation_logs]) if source == "auto" else ""
     notes, noise_notes, thrust = [*notes, *fixed_notes], [*noise_notes, *floors], thrust_from(model, loaded)
     return VehicleProblem(model, segments, validation, notes, noise_notes, thrust, unused, choice, ahead)
+
+
+def _with_given_side(model: Model, request: VehicleRequest) -> Model:
+    """Return the model with the given thrust for the side of the request (`with_thrust_of`); unchanged without one."""
+    return model if request.thrust_of is None else with_thrust_of(model, request.thrust_of)
 
 
 def _with_thrust_ahead(
@@ -362,7 +371,7 @@ def _saved_problem(
     file = None if curve is None else str(request.thruster)
     model, segments, validation, _ = model_of_logs(saved.model, path, loaded, validation_logs, file)
     model = with_effect_priors(model, loaded[0].vehicle, loaded[0].rig)
-    model = with_effects(model, request.effects)
+    model = with_effects(_with_given_side(model, request), request.effects)
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
     model = with_values_per_log(model, request.per_log)

@@ -136,7 +136,8 @@ def compare_campaigns(
         Whether the first four logs before are fitted together first, and the small errors of sensors and hull form that
         they show are added to the model of all logs. It has no influence on a model.toml or a model of your own.
     **options
-        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles``. The default of
+        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles`` and
+        ``thrust_of``. The default of
         ``score_tests`` is False.
 
     Returns

@@ -73,6 +73,9 @@ class FitOptions(TypedDict, total=False):
     thruster : path
         File or folder with the thrust from a bench test: model.toml of a thruster model, or of a static curve from
         command to thrust. Without it the thrust is estimated or unknown.
+    thrust_of : "left", "right", "both" or "unknown"
+        Thruster that has the given thrust, if the thrusts of both sides differ; ``both``: their mean has it. Masses and
+        standard errors follow from it. Without it, this is unknown, or that of a model.toml.
     fixed : dict of str to float
         Values of parameters, by name, that are known and not estimated, in SI units and radians.
     initial : dict of str to float
@@ -113,6 +116,7 @@ class FitOptions(TypedDict, total=False):
     """
 
     thruster: PathLike
+    thrust_of: Literal["left", "right", "both", "unknown"]
     fixed: Mapping[str, float]
     initial: Mapping[str, float]
     priors: Mapping[str, tuple[float, float]]
@@ -149,6 +153,8 @@ class DiagnosisOptions(TypedDict, total=False):
     thruster : str
         For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several.
+    thrust_of : "left", "right", "both" or "unknown"
+        Thruster that has the given thrust, as that of `FitOptions`; without it, as in the fit of the model.
     mass : float
         Weighed mass of the boat [kg], as that of `FitOptions`.
     outlier_model : bool
@@ -170,6 +176,7 @@ class DiagnosisOptions(TypedDict, total=False):
     effects_file: PathLike
     fixed: Mapping[str, float]
     thruster: str
+    thrust_of: Literal["left", "right", "both", "unknown"]
     mass: float
     outlier_model: bool
     horizon: float
@@ -706,7 +713,7 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         Other logs, on which the fit is evaluated. They are used whole, so a `Log` with a window is an error. Without
         them the fit is evaluated on ``logs``.
     **options
-        `FitOptions`, which ``help(st.FitOptions)`` describes: thruster, fixed, initial, priors, effects,
+        `FitOptions`, which ``help(st.FitOptions)`` describes: thruster, thrust_of, fixed, initial, priors, effects,
         per_log, mass, score_tests, profiles, outlier_model, reml, mean_order, horizon, rate, despite_faults, progress.
 
     Returns
@@ -823,7 +830,7 @@ def diagnose(
         blocks of ``logs`` are cross-validated.
     **options
         `DiagnosisOptions`, which ``help(st.DiagnosisOptions)`` describes: max_effects, exclude, effects_file,
-        fixed, thruster, mass, outlier_model, horizon, rate, despite_faults, progress.
+        fixed, thruster, thrust_of, mass, outlier_model, horizon, rate, despite_faults, progress.
 
     Returns
     -------

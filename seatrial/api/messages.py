@@ -36,7 +36,7 @@ ARGUMENTS = {
     "--discriminate": "between", "--rate": "rate", "--steps": "steps", "--seed": "seed", "--slew": "slew",
     "--criterion": "criterion", "--parameters": "chosen", "--before": "before", "--after": "after", "--on": "logs",
     "--no-common-errors": "common_errors=False", "--false-discovery-rate": "false_discovery_rate",
-    "--smooth": "smoothed=True", "--filter": "smoothed=False", "--name": "name",
+    "--smooth": "smoothed=True", "--filter": "smoothed=False", "--name": "name", "--thrust-of": "thrust_of",
     "--with-disturbance-states": "with_disturbance_states=True",
 }  # fmt: skip
 

@@ -8,9 +8,18 @@ from seatrial.ident.model import Effect, Parameter, Signals, share_in_words
 
 
 def scale(s: Signals) -> None:
-    """Multiply the thrust of the left thruster by ``1 + eps_LR`` and that of the right by ``1 - eps_LR``, in place."""
-    s.f["left"] = s.f["left"] * (1 + s.p.eps_LR)
-    s.f["right"] = s.f["right"] * (1 - s.p.eps_LR)
+    """Multiply the thrust of the left thruster by ``1 + eps_LR`` and that of the right by ``1 - eps_LR``, in place.
+
+    If one side has the given thrust (``s.thrust_of``), both factors are divided by that of this side: its thrust is
+    unchanged, and ``eps_LR`` is still half the difference over the mean.
+    """
+    factors = {"left": 1 + s.p.eps_LR, "right": 1 - s.p.eps_LR}
+    given = getattr(s, "thrust_of", "")
+    for side, factor in factors.items():
+        if not given:
+            s.f[side] = s.f[side] * factor
+        elif side != given:
+            s.f[side] = s.f[side] * (factor / factors[given])
 
 
 def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:

@@ -22,7 +22,7 @@ from seatrial.ident.diagnosis.search import _Search
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import Fit
 from seatrial.ident.model import Effect, EffectKind, ForceCurve, Parameter, ParameterOrigin
-from seatrial.ident.models import horizontal_model
+from seatrial.ident.models import horizontal_model, with_thrust_of
 from seatrial.ident.reporter import QUIET
 
 N = 3000
@@ -167,6 +167,24 @@ def test_difference_of_the_sides_makes_the_scale_of_given_thrust_uncertain(diffe
     untested = untested_uncertainty(fitted(difference=difference))
     assert untested is not None
     assert found.weaker_side == untested.weaker_side == ("left" if difference < 0.0 else "right")
+
+
+@pytest.mark.parametrize("of", ["left", "right", "both"])
+def test_the_scale_is_certain_if_the_side_with_the_given_thrust_is_known(of: str) -> None:
+    """Neither the difference of the model nor that of a candidate makes the scale uncertain; its shift still counts."""
+    equations, unknown = regression()[2], fitted(difference=0.2)
+    known = replace(unknown, model=with_thrust_of(unknown.model, of))
+    effects = {
+        "one": replace(catalogue()["mismatch"], name="one", thrust_difference="a", parameters=(Parameter("a", 0.0),))
+    }
+    assert untested_uncertainty(unknown) is not None
+    assert untested_uncertainty(known) is None
+    assert model_uncertainty(equations, [], {}, known) is None
+    found = model_uncertainty(equations, [passed("one")], effects, known)
+    assert found is not None
+    assert found.thrust_difference == 0.0
+    assert not found.scale_shift.any()
+    assert found.shifts.any()
 
 
 def test_no_scale_is_uncertain_for_ratios_to_the_thrust_or_with_a_given_mass() -> None:

@@ -11,6 +11,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.effects.sensors.gnss_latency import N_PAST, _weights_ago
@@ -19,7 +20,7 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model.structure import Effect, Model, Signals
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.components import telemetry_age
-from seatrial.ident.models.horizontal import SENSORS, horizontal_model
+from seatrial.ident.models.horizontal import SENSORS, horizontal_model, thrust_of, with_thrust_of
 from seatrial.ident.models.scaling import scale_priors, size_of
 from tests.ident.carriers import carrier
 
@@ -253,3 +254,46 @@ def test_mismatch_is_given_as_the_share_of_the_weaker_side(eps: float, se: float
     in_words = catalogue()["mismatch"].in_words
     assert in_words is not None
     assert in_words({"eps_LR": (eps, se)}) == words
+
+
+@pytest.mark.parametrize(
+    ("of", "left", "right"),
+    [("left", 1.0, 0.8 / 1.2), ("right", 1.2 / 0.8, 1.0), ("both", 1.2, 0.8), ("unknown", 1.2, 0.8)],
+)
+def test_mismatch_leaves_the_side_with_the_given_thrust_unchanged(of: str, left: float, right: float) -> None:
+    """The ratio of both sides is the same, so that the motion is that of a boat with other masses."""
+    plain = make_model("horizontal:shaft")
+    model = (with_thrust_of(plain, of) + catalogue()["mismatch"]).with_values({"eps_LR": 0.2})
+    x, u = [0.0 for _ in model.states], [0.5 for _ in model.inputs]
+    thrusts = model.signals(x, u, [p.value for p in model.parameters]).f
+    given = plain.signals(x, u, [p.value for p in plain.parameters]).f
+    assert thrusts["left"] == pytest.approx(left * given["left"])
+    assert thrusts["right"] == pytest.approx(right * given["right"])
+
+
+@pytest.mark.parametrize("source", ["horizontal:shaft", "horizontal:force:no-current", "kinematic:shaft:yaw"])
+@pytest.mark.parametrize("of", ["left", "right", "both"])
+def test_the_side_with_the_given_thrust_is_part_of_the_name_of_a_model(source: str, of: str) -> None:
+    named = with_thrust_of(make_model(source), of)
+    assert named.source == f"{source}:thrust-of-{of}"
+    again = make_model(named.source)
+    assert (again.source, again.stages, thrust_of(again)) == (named.source, named.stages, of)
+    assert with_thrust_of(named, "right").source == f"{source}:thrust-of-right"
+    taken_back = with_thrust_of(named, "unknown")
+    assert (taken_back.source, taken_back.stages) == (source, make_model(source).stages)
+    assert thrust_of(taken_back) == ""
+
+
+@pytest.mark.parametrize(
+    ("source", "of", "message"),
+    [
+        ("horizontal:general", "left", "has no thrust for each side"),
+        ("nomoto", "left", "has no thrust for each side"),
+        ("horizontal:shaft", "port", "no such side"),
+    ],
+)
+def test_no_side_is_named_in_a_model_without_two_thrusters(source: str, of: str, message: str) -> None:
+    model = make_model(source)
+    with pytest.raises(SeatrialError, match=message):
+        with_thrust_of(model, of)
+    assert with_thrust_of(model, "unknown") is model

@@ -789,7 +789,10 @@ def test_weighed_mass_is_evidence_on_the_side_with_the_given_thrust(
     assert sides_compare_mass(found, fit, weighed) == bool(sentence)  # a note then gives no other ratio
     assert not sides_compare_mass(replace(found, thrust_difference=0.04), fit, weighed)
     assert not sides_compare_mass(None, fit, weighed)
-    assert warning.text.endswith("Measure the thrust of both sides as they are now (seatrial bench).")
+    assert warning.text.endswith(
+        "If you know which side has the given thrust, name it with --thrust-of (left or right). Otherwise measure the "
+        "thrust of both sides as they are now (seatrial bench)."
+    )
 
 
 @pytest.mark.parametrize(

@@ -83,9 +83,13 @@ def imported(
     seconds: float = 120.0,
     gap: tuple[float, float] | None = None,
     astern: float = THRUST,
+    left: float = 1.0,
 ) -> Path:
-    """Import the boat's run as a log, by a map with these further tables and columns. The gyro may have a gap [s]."""
-    rows = sailed(seconds, 1, astern)
+    """Import the boat's run as a log, by a map with these further tables and columns. The gyro may have a gap [s].
+
+    The log has ``left`` times the shaft speed of the left thruster, which then gives more thrust at a logged speed.
+    """
+    rows = sailed(seconds, 1, astern) * [1.0, *(left if name == "n_left" else 1.0 for name in COLUMNS)]
     if gap is not None:
         rows = rows.copy()
         rows[(rows[:, 0] >= gap[0]) & (rows[:, 0] < gap[1]), 1 + list(COLUMNS).index("r")] = np.nan
@@ -192,6 +196,77 @@ def test_scale_and_geometry_in_the_map_give_kilograms(given: tuple[Path, dict[st
     assert rows["c1"]["origin"] == "given"
     # A correlation time of the sensors is at its bound, and its likelihood is not quadratic.
     assert rows["m_r"]["se"] < 0.05
+
+
+@pytest.fixture(scope="module")
+def different(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a log of a boat whose right thruster has the given thrust, and whose left one gives 1 / 0.72 times it."""
+    folder = tmp_path_factory.mktemp("different")
+    return imported(folder, "run", TABLES + "mass = 11.0\n", seconds=60.0, left=math.sqrt(0.72))
+
+
+def test_a_known_side_with_the_given_thrust_makes_masses_right_and_certain(different: Path) -> None:
+    """Without it the masses are 12 / 14.3 of the true ones, with this error in their standard errors."""
+    unknown = fitted(different, "--effect", "mismatch")[0]
+    right, output, folder = fitted(different, "--effect", "mismatch", "--thrust-of", "right")
+    eps = (1.0 / 0.72 - 1.0) / (1.0 / 0.72 + 1.0)
+    for result in (unknown, right):
+        assert rows_of(result)["eps_LR"]["value"] == pytest.approx(eps, abs=0.01)
+    assert "thrust-sides-differ" in codes(unknown)
+    assert "thrust-sides-differ" not in codes(right)
+    for name, true in TRUE.items():
+        row, other = rows_of(right)[name], rows_of(unknown)[name]
+        assert row["value"] == pytest.approx(other["value"] / (1.0 - eps), rel=0.02)
+        assert abs(row["value"] - true) < 3.5 * row["se"], (name, row)
+    assert rows_of(right)["m_u"]["se"] < 0.3 * rows_of(unknown)["m_u"]["se"]
+    (note,) = (n for n in right["notes"] if "--thrust-of" in n)
+    assert note.startswith("By --thrust-of, the given thrust is that of the right thruster; the left one has 1")
+    assert "the given thrust is that of the right thruster" in " ".join(output.split())
+
+    saved = folder / "model.toml"
+    assert load_model(saved).model.source == "horizontal:shaft:thrust-of-right"
+    again = fitted(different, "--model", str(saved))[0]
+    assert rows_of(again)["m_u"]["value"] == pytest.approx(rows_of(right)["m_u"]["value"], rel=1e-3)
+    assert "thrust-sides-differ" not in codes(again)
+    taken_back = fitted(different, "--model", str(saved), "--thrust-of", "unknown")[0]
+    assert rows_of(taken_back)["m_u"]["value"] == pytest.approx(rows_of(unknown)["m_u"]["value"], rel=1e-3)
+    assert "thrust-sides-differ" in codes(taken_back)
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_a_diagnosis_that_finds_the_mismatch_keeps_the_side_with_the_given_thrust(different: Path) -> None:
+    plain = st.fit(different, thrust_of="right", score_tests=False)
+    assert any("so that both have this thrust" in note for note in plain.result.notes)
+    found = st.diagnose(plain, different, max_effects=1)
+    assert [e.name for e in found.result.effects] == ["mismatch"]
+    assert "thrust-sides-differ" not in [w.code for w in found.result.warnings]
+    assert any("the given thrust is that of the right thruster; the left" in note for note in found.result.notes)
+    rows = {p.name: p for p in found.result.fit.parameters}
+    assert rows["m_u"].value == pytest.approx(TRUE["m_u"], rel=0.05)
+    told = st.diagnose(st.fit(different, score_tests=False), different, max_effects=1, thrust_of="right")
+    assert {p.name: p.value for p in told.result.fit.parameters}["m_u"] == pytest.approx(rows["m_u"].value, rel=0.01)
+
+
+def test_a_comparison_of_campaigns_does_not_take_the_side_with_the_given_thrust(
+    different: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither from an option nor from the model: what has changed may be this side."""
+    with pytest.raises(SeatrialError, match="does not assume that one thruster has kept its thrust"):
+        st.compare_campaigns(different, different, thrust_of="right")
+    arguments = ["changes", "--before", str(different), "--after", str(different), "--thrust-of", "right"]
+    assert CliRunner().invoke(ident, arguments).exit_code == 2
+    asked = []
+
+    def noted(logs: Any, request: Any, *_: Any) -> Any:
+        asked.append(request.vehicle.thrust_of)
+        raise SeatrialError("enough")
+
+    monkeypatch.setattr("seatrial.ident.workflows.changes.fit_logs", noted)
+    other = imported(tmp_path, "other", TABLES, seconds=60.0)
+    for model in ("horizontal:shaft:thrust-of-right", "horizontal:shaft"):
+        with pytest.raises(SeatrialError, match="enough"):
+            st.compare_campaigns(different, other, model, common_errors=False)
+    assert asked == ["unknown", None]
 
 
 def test_thrust_ahead_alone_is_the_thrust_ahead(tmp_path: Path) -> None:
