@@ -351,12 +351,17 @@ def test_unexplained_residuals_name_the_score_test_that_contradicts_the_model() 
 def test_waves_that_were_not_tried_are_named() -> None:
     """The answer has them if nothing else is missing, otherwise a note."""
     words = "have a narrow spectral peak at 0.55 Hz, as of waves."
-    found = Diagnosis(blank(), blank(cross_validated=False), (), (), (), untried_waves=0.546875)
+    fitted = blank(cross_validated=False, fit=blank(flags=()))
+    found = Diagnosis(blank(), fitted, (), (), (), untried_waves=0.546875)
     assert words in diagnosis_answer(found, None, 10.0)
     assert words not in diagnosis_answer(replace(found, untried_waves=None), None, 10.0)
-    chosen = refit("bias", 60.0)
+    curve = Effect("unknown X(u)", "a curve: the force X depends on u", {}, kind=EffectKind.NONPARAMETRIC)
+    chosen = Refit(curve, blank(), 90.0, 1, 82.0, 30.0, 4.0)
     with_effect = replace(
-        found, rounds=(Round((), (), (chosen,), chosen),), attributions=(EffectAttribution("bias", "identified"),)
+        found,
+        rounds=(Round((), (), (chosen,), chosen),),
+        attributions=(EffectAttribution(curve.name, "nonparametric"),),
+        importances=(EffectImportance(curve.name, 90.0, 1.02, 41.2, 5.34),),
     )
     assert words not in diagnosis_answer(with_effect, None, 10.0)
     assert any(words in note for note in _notes(with_effect, GivenModel("model.toml")))

@@ -397,7 +397,7 @@ def test_a_prior_that_only_missing_effects_excuse_has_a_note(monkeypatch: pytest
         PriorDistance(noise, 15.0, 1.5, 4.2, 0.5),
     ]
     monkeypatch.setattr(answers, "prior_distances", lambda _: found)
-    fit = cast("Fit", SimpleNamespace(model=SimpleNamespace(noises=("e_r",))))
+    fit = cast("Fit", SimpleNamespace(model=SimpleNamespace(noises=("e_r",), parameters=())))
     (note,) = prior_notes(fit)
     assert note.startswith(
         "The estimate of c1 is 15 N, where 12 ± 0.6 N was given. The data alone give about 18 N: 4.2 standard "
