@@ -1149,7 +1149,7 @@ def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarni
     return found
 
 
-def warm_up_notes(durations: Iterable[tuple[str, float]]) -> list[str]:
+def warm_up_notes(durations: Iterable[tuple[str, float]], kind: ModelKind = ModelKind.VEHICLE) -> list[str]:
     """Return a note on the seconds that the errors of a simulation cover, if records are shorter than four warm-ups.
 
     The warm-up is the time in which the filter sees the measurements. The errors leave it out, and thus a large part of
@@ -1160,6 +1160,8 @@ def warm_up_notes(durations: Iterable[tuple[str, float]]) -> list[str]:
     durations
         Name and duration [s] of each simulated record, or of each block in time of one. Of equal names the shortest
         counts.
+    kind
+        Kind of the modelled object, which the note names: the boat, or the thruster of a bench.
     """
     short: dict[str, float] = {}
     for name, duration in durations:
@@ -1168,7 +1170,8 @@ def warm_up_notes(durations: Iterable[tuple[str, float]]) -> list[str]:
     if not short:
         return []
     covered = first_names([f"{max(d - WARM_UP, 0.0):.0f} of {d:.0f} s of {name}" for name, d in short.items()])
-    return [f"{SIMULATION_COVERS} {covered}. What the boat does before is not in them."]
+    thing = "boat" if kind is ModelKind.VEHICLE else "thruster"
+    return [f"{SIMULATION_COVERS} {covered}. What the {thing} does before is not in them."]
 
 
 def simulated_durations(evaluation: PredictionEvaluation) -> Iterator[tuple[str, float]]:

@@ -361,7 +361,7 @@ def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: 
         *first,
         *outliers,
         *calibration_notes(calibration, evaluation.horizon),
-        *warm_up_notes(simulated_durations(evaluation)),
+        *warm_up_notes(simulated_durations(evaluation), evaluation.model.kind),
     )
 
 

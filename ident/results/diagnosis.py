@@ -169,17 +169,18 @@ def diagnosis_result(
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
     rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
-    answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
+    bench = diagnosis.after.fit.model.kind is ModelKind.BENCH
+    answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors), bench=bench)
     stability = dynamics.course if dynamics else None
     course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
-    late = late_command_sentence(made) if diagnosis.after.fit.model.kind is ModelKind.BENCH else ""
+    late = late_command_sentence(made) if bench else ""
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
         + (failed or late + " ".join(filter(None, [answer, worse, straight_sentence(dynamics), course, wind]))),
-        caveat=None if failed else diagnosis_caveat(diagnosis),
+        caveat=None if failed else diagnosis_caveat(diagnosis, bench=bench),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
         warnings=(
@@ -207,7 +208,7 @@ def diagnosis_result(
             *_blocks_note(evaluation),
             *outlier_lines(after.estimation_residuals, after.model),
             *calibration_notes(calibration, after.horizon),
-            *warm_up_notes(simulated_durations(after)),
+            *warm_up_notes(simulated_durations(after), after.model.kind),
         ),
         fit=with_rival_values(
             fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
@@ -284,6 +285,8 @@ def diagnosis_answer(
     prediction: parts.PredictionChangeRow | None,
     horizon: float,
     poor: tuple[str, float] | None = None,
+    *,
+    bench: bool = False,
 ) -> str:
     """Return the answer of a diagnosis: the missing effects, and the change of the prediction errors by them.
 
@@ -302,8 +305,10 @@ def diagnosis_answer(
         Prediction horizon [s].
     poor : tuple of (str, float) or None
         Channel that the model predicts worse than by its mean value, and its fit (negative); None without one.
+    bench : bool
+        Whether the model is that of a thruster on a bench. No command but the diagnosis fits effects to it.
     """
-    sentences = [_missing_effects_sentence(diagnosis, prediction, horizon)]
+    sentences = [_missing_effects_sentence(diagnosis, prediction, horizon, bench)]
     if poor is not None and not diagnosis.effects and diagnosis.rounds:
         sentences.append(
             f"But the model predicts one channel {horizon:g} s ahead worse than its mean value would: {poor[0]}, fit "
@@ -365,14 +370,15 @@ def _likelihood_sentence(diagnosis: Diagnosis, role: str) -> str:
 
 
 def _missing_effects_sentence(
-    diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float
+    diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float, bench: bool
 ) -> str:
     """Return the sentences on the missing effects, or on why no effect was added.
 
     Without effects, the first of these that applies is stated: there are validation runs that the model does not fit
     (and, if there was no round, a sentence that no effect was found); there was no round (perhaps because the data are
     short); candidates could not be refitted; effects were removed because the prediction is as good without them; the
-    smallest p value, above 1e-6, may be by chance; no candidate explains the residuals.
+    smallest p value, above 1e-6, may be by chance; no candidate explains the residuals. ``bench``: whether the model is
+    that of a thruster on a bench.
     """
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=_fell_enough(diagnosis, prediction))}."
@@ -397,9 +403,10 @@ def _missing_effects_sentence(
     if immaterial := [r for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
         titles = _joined_titles([r.effect.title for r in immaterial])
+        sizes = _removed_sentences(diagnosis, immaterial, horizon, bench)
         return (
             f"No effect of the catalogue improves the prediction: {titles} {do} a part of the residuals one step "
-            f"ahead, but the prediction is as good without {them}. {_removed_sentences(diagnosis, immaterial, horizon)}"
+            f"ahead, but the prediction is as good without {them}. {sizes}"
         )
     # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
     why = last.explanation
@@ -408,13 +415,14 @@ def _missing_effects_sentence(
     strongest = min(last.scores, key=lambda s: s.p)
     if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
-    nearest = _nearest_effects(last, strongest.name)
+    nearest = _nearest_effects(last, strongest.name, bench)
     return (
         f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
         f"({_p_in_words(strongest.p)}), but no candidate explains the residuals: {why}. {nearest}A score test can "
-        "find what the tests of whiteness and of the correlations with the inputs miss. Give all logs of the boat "
-        "first, as further logs of the estimation or with --validate; if there are no others, record longer runs. Look "
-        "at the residuals in the report."
+        "find what the tests of whiteness and of the correlations with the inputs miss. Give all logs of "
+        f"{'this thruster on the bench' if bench else 'the boat'} first, as further logs of the estimation or with "
+        f"--validate; if there are no others, record longer {'tests' if bench else 'runs'}. Look at the residuals in "
+        "the report."
     )
 
 
@@ -423,13 +431,14 @@ def _p_in_words(p: float) -> str:
     return f"p = {p:.1g}" if p > 0.0 else "p < 1e-300"
 
 
-def _nearest_effects(search_round: Round, strongest: str) -> str:
+def _nearest_effects(search_round: Round, strongest: str, bench: bool) -> str:
     """Return the sentences on the effects of the catalogue that come nearest in a round without an added effect.
 
     The estimation data clearly support them (a criterion above `CLEAR_CRITERION`), and the validation data neither
     support nor contradict them. The `MOST_NEAREST` effects with the largest t statistics of their validation are given,
     with their sizes in the rough fits. If the candidate ``strongest`` of the score tests is not among them, a sentence
-    says why. The text ends with a space; it is empty if no effect comes near.
+    says why. For a model of the ``bench``, further logs are advised, because no fit takes its effects. The text ends
+    with a space; it is empty if no effect comes near.
     """
     undecided = [
         r
@@ -446,12 +455,16 @@ def _nearest_effects(search_round: Round, strongest: str) -> str:
     each = [f"{r.effect.title} ({size})" for r, size in zip(near, sizes, strict=True)]
     options = " ".join(f"--effect {r.effect.name}" for r in near)
     left_out = "" if strongest in {r.effect.name for r in near} else _why_not_near(search_round, strongest)
+    them = "them" if len(near) > 1 else "it"
+    advice = f"`seatrial ident vehicle {options}` estimates {them} with the model."
+    if bench:
+        advice = f"A diagnosis with longer or further logs of the bench decides, and adds {them} if the data agree."
     return (
         f"The effects that come nearest are {_joined_titles(each)}: the estimation data support them, and the "
-        f"validation data are too few to decide. `seatrial ident vehicle {options}` estimates them with the model. "
+        f"validation data are too few to decide. {advice} "
         if len(near) > 1
         else f"The effect that comes nearest is {each[0]}: the estimation data support it, and the validation data are "
-        f"too few to decide. `seatrial ident vehicle {options}` estimates it with the model. "
+        f"too few to decide. {advice} "
     ) + left_out
 
 
@@ -461,11 +474,11 @@ def _removal(removed: RemovedEffect, diagnosis: Diagnosis) -> str:
     return f"{removal_reason(removed, diagnosis.policy)}; {data}"
 
 
-def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], horizon: float) -> str:
+def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], horizon: float, bench: bool) -> str:
     """Return sentences on each effect that the validation data support and that was left out, with its size.
 
     A single effect has no name in them, because the sentence before names it. ``horizon`` is that of the
-    prediction [s].
+    prediction [s]. For a model of the ``bench``, no command is named: none fits effects to it but the diagnosis.
     """
     found = []
     for r in removed:
@@ -476,7 +489,7 @@ def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], h
         found.append(
             f"The validation data support {what}{f' ({size})' * bool(size)}: their log-likelihood "
             f"{_rises(r.validation_gain)} (t = {r.t:.1f}). It is left out because the prediction {horizon:g} s ahead "
-            f"is no better with it{use * (r.effect.name in catalogue())}."
+            f"is no better with it{use * (r.effect.name in catalogue() and not bench)}."
         )
     return " ".join(found)
 
@@ -802,13 +815,14 @@ def _resembling(titles: Sequence[str]) -> str:
     )
 
 
-def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
+def diagnosis_caveat(diagnosis: Diagnosis, *, bench: bool = False) -> str | None:
     """Return the caveat of a diagnosis: uncertain names of effects, and residuals that are left unexplained.
 
     The text gives the first reason of each uncertain name, and names the experiment that may decide. If the search
     ended by --max-effects, the text gives the number of added effects and the candidates that were not tried. If all
     names are certain and candidates still pass the score test, it gives their number, the strongest one, the reason why
-    none was added, and an advice. The result is None if none of these cases applies.
+    none was added, and an advice. The result is None if none of these cases applies. ``bench``: whether the model is
+    that of a thruster on a bench.
     """
     titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
     doubted = [j for j in diagnosis.attributions if j.attribution == "ambiguous" and j.reasons]
@@ -827,7 +841,7 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
             f"--max-effects {limit}; give a larger number to try the other candidates: {_remaining_names(diagnosis)}."
         )
     elif diagnosis.effects and diagnosis.remaining and not doubted:
-        sentences += _remaining_sentences(diagnosis)
+        sentences += _remaining_sentences(diagnosis, bench)
     return " ".join(sentences) or None
 
 
@@ -851,12 +865,12 @@ def _physical_parameters(model: Model) -> list[str]:
     return [p.name for p in model.parameters if model.role(p.name) is ParameterRole.DYNAMICS and force_power(p.unit)]
 
 
-def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
+def _remaining_sentences(diagnosis: Diagnosis, bench: bool) -> list[str]:
     """Return the sentences on the candidates that still pass their score tests beside the effects found.
 
     They list the candidates, give the reason why the search added none of them, and recommend what to do next. If the
     candidates were too small to be tried, nothing has to be done. The sentences are for a search that did not end by
-    the largest number of effects.
+    the largest number of effects. ``bench``: whether the model is that of a thruster on a bench.
     """
     n, names = len(diagnosis.remaining), _remaining_names(diagnosis)
     which = f"; the strongest are {names}" if n > MOST_REMAINING else f": {names}"
@@ -879,8 +893,8 @@ def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
         advice = "To find out, record the recommended experiment (Next experiment, in the report), and diagnose again."
     else:
         advice = (
-            "To find out, give all logs of the boat, or record longer and more varied runs, and diagnose again with "
-            "their logs."
+            f"To find out, give all logs of {'this thruster on the bench' if bench else 'the boat'}, or record longer "
+            f"and more varied {'tests' if bench else 'runs'}, and diagnose again with their logs."
         )
     use = "The model can be used: its standard errors include how far such a candidate would shift an estimate."
     return [

@@ -374,6 +374,30 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
     )
 
 
+def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None:
+    """No fit of a thruster takes effects: only the diagnosis adds them."""
+    scores = (Score("cell-lag", 133.0, 1, 46.0, {}, {}, threshold=22.0),)
+    undecided = replace(refit("cell-lag", 30.0, gain=4.7, t=1.9), outcome=Outcome.NOT_VALIDATED)
+    found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, (), (undecided,), None),), (), ())
+    answer = diagnosis_answer(found, None, 1.0, bench=True)
+    assert "too few to decide. A diagnosis with longer or further logs of the bench decides, and adds it if" in answer
+    assert "Give all logs of this thruster on the bench first, as further logs of the estimation or with" in answer
+    left = replace(found, removed=(RemovedEffect(refit("cell-lag", 30.0).effect, 662.0, 6.6, SAME),))
+    removed = diagnosis_answer(left, None, 1.0, bench=True)
+    assert "is no better with it." in removed
+    boat = " ".join((diagnosis_answer(found, None, 1.0), diagnosis_answer(left, None, 1.0)))
+    assert boat.count("`seatrial ident vehicle --effect cell-lag` estimates it with the model.") == 2
+    chosen = refit("stiction", 900.0)
+    after = blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
+    weight = EffectImportance("stiction", 900.0, 1.3, 50.0, 5.0)
+    rounds = (Round((), (), (chosen,), chosen), Round(scores, (), (), None))
+    beside = Diagnosis(after, after, rounds, scores, (), importances=(weight,))
+    caveat = str(diagnosis_caveat(beside, bench=True))
+    assert "give all logs of this thruster on the bench, or record longer and more varied tests, and" in caveat
+    for text in (answer, removed, caveat):
+        assert not any(word in text for word in ("boat", "ident vehicle", "--effect"))
+
+
 @pytest.mark.parametrize(
     ("wind", "said"),
     [

@@ -658,6 +658,8 @@ def test_short_simulations_say_how_much_they_cover() -> None:
         "The errors of the simulation leave out the 15 s of filtering before it: they cover 12 of 27 s of a, 5 of 20 s "
         "of c, 0 of 9 s of d. What the boat does before is not in them."
     )
+    (text,) = warm_up_notes([("a", 27.0)], ModelKind.BENCH)
+    assert text.endswith("12 of 27 s of a. What the thruster does before is not in them.")
 
 
 @pytest.mark.parametrize(("seconds", "n"), [(12.0, 1), (30.0, 0)])
