@@ -60,8 +60,8 @@ from seatrial.ident.results.tables import SCORES_PASS, format_number, sides_comp
 from seatrial.ident.validation import FEWEST, OUTLIER_SDS, WARM_UP, ChannelResiduals, PredictionEvaluation
 
 NAMES = {
-    "x": "north",
-    "y": "east",
+    "x": "position north",
+    "y": "position east",
     "psi": "heading",
     "r": "yaw rate",
     "u": "surge speed",

@@ -501,16 +501,37 @@ def _last_refit(diagnosis: Diagnosis, name: str) -> Refit | None:
 
 
 def _strongest_left_out(diagnosis: Diagnosis) -> str:
-    """Return the sentence why the strongest remaining candidate that was fitted is not in the model; "" without one."""
-    removed = {r.effect.name: r for r in diagnosis.removed}
+    """Return the sentence why the strongest remaining candidate that was fitted is not in the model; "" without one.
+
+    Candidates whose fit is noise (`_is_noise`) are not named.
+    """
+    removed, begin = {r.effect.name: r for r in diagnosis.removed}, "Of those that were fitted"
     for s in diagnosis.remaining:
         refit, gone = _last_refit(diagnosis, s.name), removed.get(s.name)
         if refit is not None:
+            if _is_noise(refit, refit.validation_gain if gone is None else gone.validation_gain):
+                begin = "Of those that were fitted with a clear size and gain"
+                continue
             size = sizes_in_words(refit.effect, refit.fitted)
             why = _refit_clause(refit) if gone is None else f"it was removed again: {_removal(gone, diagnosis)}"
             title = f"{candidate_title(s.name)}{f' ({size})' * bool(size)}"
-            return f"Of those that were fitted, the strongest is {title}: {why}."
+            return f"{begin}, the strongest is {title}: {why}."
     return ""
+
+
+def _is_noise(refit: Refit, gain: float) -> bool:
+    """Return whether the fit of a candidate says nothing about it.
+
+    Its ``gain`` in log-likelihood of the validation data then rounds to zero, or each of its sizes is smaller than its
+    standard error.
+    """
+    if abs(gain) < 0.5:
+        return True
+    sizes = [p.name for p in refit.effect.parameters if p.value == 0.0 and not p.per_record]
+    if not sizes:
+        return False
+    rows = [row for row in effect_parameter_rows(refit.effect, refit.fitted) if row.name.removesuffix("/T") in sizes]
+    return bool(rows) and all(row.se is not None and abs(row.value) < row.se for row in rows)
 
 
 def _why_not_near(search_round: Round, name: str) -> str:

@@ -283,7 +283,7 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
     )
     assert change_sentence(change, 10.0) == (
         "Prediction 10 s ahead on validation data, all channels: with the added effects the error falls by 42 % (95 % "
-        "interval: 37 to 46 %); better: heading, north; worse: surge specific force."
+        "interval: 37 to 46 %); better: heading, position north; worse: surge specific force."
     )
     rose = msgspec.structs.replace(change, ratio=1.12, low=1.05, high=1.2, verdict="rose", better=(), worse=("ax",))
     assert "rises by 12 % (95 % interval: 5 to 20 %); worse: surge" in change_sentence(rose, 10.0)
@@ -330,7 +330,7 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     answer = vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
     assert answer.startswith(
         f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %). Best "
-        "channel: 99 % (north); worst: 10 % (surge specific force). "
+        "channel: 99 % (position north); worst: 10 % (surge specific force). "
     )
     worst = LargestErrorsRow(record="morning", begin=20.0, end=40.0, share=0.61)
     wide = PredictionFit(role="estimation", fit=0.78, low=-17.65, high=1.0, largest_errors=worst)
@@ -369,7 +369,7 @@ def test_correlation_with_an_input_is_quantified() -> None:
         [0.5], [("n", 1e-9), ("m", 1e-5), ("k", 0.5)], correlations=[0.04, 0.071, 0.3], searchable=True
     )
     assert known == (
-        "The residuals are correlated with the inputs (correlation up to 0.071, north): run `seatrial ident "
+        "The residuals are correlated with the inputs (correlation up to 0.071, position north): run `seatrial ident "
         "diagnose` to see whether an effect is missing."
     )
     assert residual_sentence([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
