@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import degrees, isfinite
 from typing import NamedTuple, cast
@@ -91,8 +91,10 @@ from seatrial.ident.results.tables import (
     traces,
     tracks,
 )
+from seatrial.ident.validation import PredictionEvaluation
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
+USABLE_ERROR = 0.05  # of the range of force or shaft speed, up to which the thrust curve of a bench can be used
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 CLEAR_CRITERION = 10.0  # of a refit, from which its data clearly support it (Kass and Raftery 1995)
@@ -176,10 +178,13 @@ def diagnosis_result(
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
     late = late_command_sentence(made) if bench else ""
+    usable = ""
+    if bench and not diagnosis.effects:
+        usable = _usable_thrust_sentence(errors, _measured_ranges(after), doubted=bool(diagnosis.rounds))
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
-        + (failed or late + " ".join(filter(None, [answer, worse, straight_sentence(dynamics), course, wind]))),
+        + (failed or late + " ".join(filter(None, [usable, answer, worse, straight_sentence(dynamics), course, wind]))),
         caveat=None if failed else diagnosis_caveat(diagnosis, bench=bench),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
@@ -331,6 +336,44 @@ def diagnosis_answer(
             f"contain {effect}, other effects or the disturbance forces stand for it."
         )
     return " ".join(sentences)
+
+
+def _measured_ranges(evaluation: PredictionEvaluation) -> dict[str, float]:
+    """Return the range of each measured channel in the headline set of an evaluation, in the unit of the channel.
+
+    It is from the 1 % to the 99 % quantile of the samples of all records, which leaves outliers out. Channels without
+    samples are left out.
+    """
+    found: dict[str, float] = {}
+    records = [p.record for p in evaluation.sets[evaluation.headline_set].records]
+    for j, output in enumerate(evaluation.model.outputs):
+        y = np.concatenate([r.y[:, j] for r in records]) if records else np.empty(0)
+        if (y := y[np.isfinite(y)]).size:
+            found[output.name] = float(np.percentile(y, 99) - np.percentile(y, 1))
+    return found
+
+
+def _usable_thrust_sentence(errors: parts.Errors, ranges: Mapping[str, float], *, doubted: bool) -> str:
+    """Return the sentence that a bench model predicts force and shaft speed well enough to use its thrust curve.
+
+    The errors are those of the simulation from the command, or over the horizon without one, relative to ``ranges``
+    (`_measured_ranges`). The text is empty if the force or one of the errors is unknown, or if one of them is more than
+    5 % of its range. If the score tests ``doubted`` the model, a clause says that their findings are in these errors.
+    """
+    data = errors.estimation if errors.validation is None else errors.validation
+    table, how = (data.simulation, "from the command alone") if data.simulation else (data.horizon, "over the horizon")
+    found = []
+    for name in (n for n in ("force", "n") if n in table):
+        error, size = table[name].after, ranges.get(name, 0.0)
+        if error is None or size <= 0.0 or error > USABLE_ERROR * size:
+            return ""
+        unit, share = f" {table[name].unit}" if table[name].unit else "", f"{100.0 * error / size:.2g}"
+        found.append(f"the {NAMES.get(name, name)} within {format_number(error)}{unit} (rms, {share} % of its range)")
+    if "force" not in table:
+        return ""
+    small = f"within {'these small errors' if len(found) > 1 else 'this small error'}"
+    rest = f" What the score tests find is {small}." if doubted else ""
+    return f"The model predicts {' and '.join(found)} {how}: the thrust curve can be used.{rest}"
 
 
 def _worse_simulation_sentence(errors: parts.Errors) -> str:
