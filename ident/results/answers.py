@@ -82,6 +82,7 @@ LEVEL = 0.01  # significance level of the whiteness tests
 MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sensor outputs and contain sensor noise
 LEAST_USEFUL_SCALE = 0.1  # ratio of actual to predicted errors, below which an interval does not tell the error
 WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the interval of time that causes it
+JUST_INCLUDED = 0.05  # upper end of the interval of a ratio above 1, up to which it only just includes no change
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
 FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
@@ -134,8 +135,9 @@ def change_sentence(change: PredictionChangeRow, horizon: float, cross_validated
     """Return the sentence of a result on how added effects changed the prediction errors over the horizon.
 
     The sentence claims a fall or a rise only if ``change.verdict`` does. The change is in per cent; a rise to three
-    times the error or more is a factor instead. Up to four better channels and all worse channels are named. Without a
-    95 % interval the sentence only states that the data are too short.
+    times the error or more is a factor instead. Up to four better channels and all worse channels are named. If the
+    interval only just includes no change, a further sentence says what decides. Without a 95 % interval the sentence
+    only states that the data are too short.
 
     Parameters
     ----------
@@ -172,7 +174,23 @@ def change_sentence(change: PredictionChangeRow, horizon: float, cross_validated
         effect += f"(95 % interval: {format_number(change.low)} to {format_number(change.high)})"
     named = [("better", change.better, MOST_NAMES), ("worse", change.worse, len(change.worse))]
     parts = [effect, *(f"{word}: {_first_names(names, most)}" for word, names, most in named if names)]
-    return f"{begin}{'; '.join(parts)}."
+    return f"{begin}{'; '.join(parts)}.{_nearly_fell(change, horizon)}"
+
+
+def _nearly_fell(change: PredictionChangeRow, horizon: float) -> str:
+    """Return the sentence that an error probably fell, with what decides; empty unless its interval just includes 1.
+
+    The upper end is then at most 5 % above 1, and at most a quarter as far from it as the estimate. The text begins
+    with a space.
+    """
+    if change.verdict != "unchanged" or change.high is None or change.high < 1.0:
+        return ""
+    if change.high - 1.0 > min(JUST_INCLUDED, 0.25 * (1.0 - change.ratio)):
+        return ""
+    return (
+        f" The error is probably smaller with the effects: a shorter horizon (--horizon {0.5 * horizon:g}) or more "
+        f"{change.role} data can decide."
+    )
 
 
 def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:

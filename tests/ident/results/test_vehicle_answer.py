@@ -292,6 +292,14 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
         "no significant change of the error with the added effects (-3 %; 95 % interval: -10 to +5 %)."
         in change_sentence(same, 10.0)
     )
+    nearly = change_sentence(msgspec.structs.replace(same, ratio=0.57, low=0.32, high=1.01), 10.0)
+    assert nearly.endswith(
+        "(-43 %; 95 % interval: -68 to +1 %). The error is probably smaller with the effects: a shorter horizon "
+        "(--horizon 5) or more validation data can decide."
+    )
+    for ratio, high in ((0.57, 1.06), (0.97, 1.01)):  # an end far from no change, and a small change
+        other = msgspec.structs.replace(same, ratio=ratio, low=0.3, high=high)
+        assert "probably" not in change_sentence(other, 10.0)
     little = msgspec.structs.replace(same, ratio=0.996, low=0.991, high=0.9996, verdict="fell")
     assert "falls by 0.4 % (95 % interval: 0.0 to 0.9 %)." in change_sentence(little, 10.0)
     least = msgspec.structs.replace(same, ratio=0.9999, low=0.98, high=1.02)
