@@ -1607,6 +1607,8 @@ def wind_sentence(made: Provenance, model: Model) -> str:
 def course_sentence(course: CourseStability | None, model: Model | None = None, logs: int = 0) -> str:
     """Return the sentences on a boat that is directionally unstable, with the time constant and its 95 % interval.
 
+    The sentence says how the speed is chosen: as a part of the highest speed ahead in the logs.
+
     If there is one estimation log (``logs``; 0: unknown), or if the pole is less than four standard errors from zero, a
     further sentence says so, and what to record.
 
@@ -1639,7 +1641,11 @@ def course_sentence(course: CourseStability | None, model: Model | None = None, 
     heading = ""
     if course.heading is not None:
         heading = f" on heading {math.degrees(course.heading):.0f} deg (the least stable one)"
-    begin = f"At {course.speed:.3g} m/s{heading} the boat is directionally unstable"
+    chosen = ""
+    if course.share is not None:
+        chosen = f" ({100.0 * course.share:.0f} % of the highest speed ahead in the logs)"
+    where = f"At {course.speed:.3g} m/s{chosen}{heading}"
+    begin = f"{where} the boat is directionally unstable"
     grows = f"without a controller a small yaw rate grows by a factor of e in {1.0 / course.pole:.3g} s"
     if course.low is None or course.high is None:
         return f"{begin}: {grows} (the 95 % interval is unknown).{_course_doubt(math.nan, logs)}"
@@ -1648,7 +1654,7 @@ def course_sentence(course: CourseStability | None, model: Model | None = None, 
         t = Z95 * course.pole / (course.pole - course.low) if course.pole > course.low else math.inf
         return f"{begin}: {grows} (95 % interval: {fastest} to {1.0 / course.low:.3g} s).{_course_doubt(t, logs)}"
     return (
-        f"At {course.speed:.3g} m/s{heading} the directional stability is {NOT_SHOWN}: without a "
+        f"{where} the directional stability is {NOT_SHOWN}: without a "
         f"controller a small yaw rate may grow by a factor of e in {fastest} s or decay in "
         f"{-1.0 / min(course.low, -1e-9):.3g} s (95 % interval). To find out, record {TURNS_FOR_STABILITY}."
     )

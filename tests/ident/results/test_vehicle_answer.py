@@ -737,6 +737,13 @@ def test_answer_has_the_headings_on_which_a_boat_in_wind_needs_most(
     assert found == (sentence if turns else "")
 
 
+def test_the_sentence_on_the_stability_says_how_its_speed_is_chosen() -> None:
+    said = "At 0.66 m/s (75 % of the highest speed ahead in the logs) the "
+    for low, verdict in ((0.2, "boat is directionally unstable: "), (-0.2, "directional stability is not shown by")):
+        course = CourseStability(speed=0.66, share=0.75, pole=0.3, low=low, high=0.8)
+        assert course_sentence(course).startswith(said + verdict)
+
+
 def test_the_least_stable_heading_is_named() -> None:
     course = CourseStability(speed=0.9, heading=np.pi / 4, pole=0.25, low=0.125, high=0.5)
     assert course_sentence(course).startswith(
