@@ -1188,8 +1188,7 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     could not be fitted. A nonparametric curve could not be fitted in place of an ambiguous effect.
     """
     texts = [
-        f"The boat may have this effect, but it could not be fitted: {u.effect.title} ({u.reason}). Longer logs "
-        "may help."
+        f"This effect may be there, but it could not be fitted: {u.effect.title} ({u.reason}). Longer logs may help."
         for u in diagnosis.untested
     ]
     texts += [f"This effect was not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]
