@@ -33,7 +33,7 @@ from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects import catalogue, is_special_case
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
 from seatrial.ident.experiment_design import reason_without_mission
-from seatrial.ident.model import Effect, EffectKind, Parameter, ParameterOrigin
+from seatrial.ident.model import Effect, EffectKind, ModelKind, Parameter, ParameterOrigin
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
 HEADING_ERROR, YAW_RATE = "psi", "r"  # sensor error that is a curve, and channel of another sensor
@@ -785,9 +785,11 @@ def _advice_on_remaining(diagnosis: Diagnosis) -> str:
             "What still passes the score test are curves and differences between runs, which no experiment of the "
             "catalogue tests: record longer and more varied runs, and diagnose again"
         )
-    advice = (
-        f"Candidates that still pass the score test may be missing too: {', '.join(map(_titled, names))}. To test one, "
-        f"fit the model again with --effect {names[0]}, and compare both models on logs of neither fit"
+    advice = f"Candidates that still pass the score test may be missing too: {', '.join(map(_titled, names))}. "
+    if diagnosis.before.model.kind is ModelKind.BENCH:  # no fit of a thruster takes effects
+        return f"{advice}To test them, record longer and more varied tests on the bench, and diagnose again"
+    advice += (
+        f"To test one, fit the model again with --effect {names[0]}, and compare both models on logs of neither fit"
     )
     pairs = [f"{a},{b}" for a, b in combinations(names, 2) if not is_special_case(a, b)]
     if pairs and not reason_without_mission(diagnosis.before.model):

@@ -38,6 +38,7 @@ from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons, unmarked_rises
 from seatrial.ident.results import (
     MOST_OF_ERROR,
+    NOT_TESTED,
     NOT_WEIGHED,
     ONLY_CHOSEN,
     RUNS_AWAY,
@@ -73,7 +74,7 @@ from seatrial.ident.results import (
 )
 
 # Beginnings of the notes that the terminal shows
-SHOWN_NOTES = (SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, ONLY_CHOSEN, THRUST_KNOWN)
+SHOWN_NOTES = (SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, NOT_TESTED, ONLY_CHOSEN, THRUST_KNOWN)
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 WIDEST_INTERVALS = 72  # characters of a line of the table of the 95 % intervals
 WIDEST_TEXT = 100  # characters of a line of texts in the table of what differs between models

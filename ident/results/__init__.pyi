@@ -44,6 +44,7 @@ from .commands import AIMS as AIMS
 from .commands import APART as APART
 from .commands import BIAS as BIAS
 from .commands import COVERAGE as COVERAGE
+from .commands import NOT_TESTED as NOT_TESTED
 from .commands import ONLY_CHOSEN as ONLY_CHOSEN
 from .commands import VARIANCE as VARIANCE
 from .commands import AllanCurve as AllanCurve

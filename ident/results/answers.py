@@ -60,8 +60,8 @@ from seatrial.ident.results.tables import SCORES_PASS, format_number, sides_comp
 from seatrial.ident.validation import FEWEST, OUTLIER_SDS, WARM_UP, ChannelResiduals, PredictionEvaluation
 
 NAMES = {
-    "x": "north",
-    "y": "east",
+    "x": "position north",
+    "y": "position east",
     "psi": "heading",
     "r": "yaw rate",
     "u": "surge speed",
@@ -82,6 +82,7 @@ LEVEL = 0.01  # significance level of the whiteness tests
 MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sensor outputs and contain sensor noise
 LEAST_USEFUL_SCALE = 0.1  # ratio of actual to predicted errors, below which an interval does not tell the error
 WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the interval of time that causes it
+JUST_INCLUDED = 0.05  # upper end of the interval of a ratio above 1, up to which it only just includes no change
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
 FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less does not matter beside the errors
@@ -134,8 +135,9 @@ def change_sentence(change: PredictionChangeRow, horizon: float, cross_validated
     """Return the sentence of a result on how added effects changed the prediction errors over the horizon.
 
     The sentence claims a fall or a rise only if ``change.verdict`` does. The change is in per cent; a rise to three
-    times the error or more is a factor instead. Up to four better channels and all worse channels are named. Without a
-    95 % interval the sentence only states that the data are too short.
+    times the error or more is a factor instead. Up to four better channels and all worse channels are named. If the
+    interval only just includes no change, a further sentence says what decides. Without a 95 % interval the sentence
+    only states that the data are too short.
 
     Parameters
     ----------
@@ -172,7 +174,23 @@ def change_sentence(change: PredictionChangeRow, horizon: float, cross_validated
         effect += f"(95 % interval: {format_number(change.low)} to {format_number(change.high)})"
     named = [("better", change.better, MOST_NAMES), ("worse", change.worse, len(change.worse))]
     parts = [effect, *(f"{word}: {_first_names(names, most)}" for word, names, most in named if names)]
-    return f"{begin}{'; '.join(parts)}."
+    return f"{begin}{'; '.join(parts)}.{_nearly_fell(change, horizon)}"
+
+
+def _nearly_fell(change: PredictionChangeRow, horizon: float) -> str:
+    """Return the sentence that an error probably fell, with what decides; empty unless its interval just includes 1.
+
+    The upper end is then at most 5 % above 1, and at most a quarter as far from it as the estimate. The text begins
+    with a space.
+    """
+    if change.verdict != "unchanged" or change.high is None or change.high < 1.0:
+        return ""
+    if change.high - 1.0 > min(JUST_INCLUDED, 0.25 * (1.0 - change.ratio)):
+        return ""
+    return (
+        f" The error is probably smaller with the effects: a shorter horizon (--horizon {0.5 * horizon:g}) or more "
+        f"{change.role} data can decide."
+    )
 
 
 def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
@@ -1149,7 +1167,7 @@ def short_data_warnings(fitted: FittedModel, horizon: float) -> list[ResultWarni
     return found
 
 
-def warm_up_notes(durations: Iterable[tuple[str, float]]) -> list[str]:
+def warm_up_notes(durations: Iterable[tuple[str, float]], kind: ModelKind = ModelKind.VEHICLE) -> list[str]:
     """Return a note on the seconds that the errors of a simulation cover, if records are shorter than four warm-ups.
 
     The warm-up is the time in which the filter sees the measurements. The errors leave it out, and thus a large part of
@@ -1160,6 +1178,8 @@ def warm_up_notes(durations: Iterable[tuple[str, float]]) -> list[str]:
     durations
         Name and duration [s] of each simulated record, or of each block in time of one. Of equal names the shortest
         counts.
+    kind
+        Kind of the modelled object, which the note names: the boat, or the thruster of a bench.
     """
     short: dict[str, float] = {}
     for name, duration in durations:
@@ -1168,7 +1188,8 @@ def warm_up_notes(durations: Iterable[tuple[str, float]]) -> list[str]:
     if not short:
         return []
     covered = first_names([f"{max(d - WARM_UP, 0.0):.0f} of {d:.0f} s of {name}" for name, d in short.items()])
-    return [f"{SIMULATION_COVERS} {covered}. What the boat does before is not in them."]
+    thing = "boat" if kind is ModelKind.VEHICLE else "thruster"
+    return [f"{SIMULATION_COVERS} {covered}. What the {thing} does before is not in them."]
 
 
 def simulated_durations(evaluation: PredictionEvaluation) -> Iterator[tuple[str, float]]:
@@ -1586,6 +1607,8 @@ def wind_sentence(made: Provenance, model: Model) -> str:
 def course_sentence(course: CourseStability | None, model: Model | None = None, logs: int = 0) -> str:
     """Return the sentences on a boat that is directionally unstable, with the time constant and its 95 % interval.
 
+    The sentence says how the speed is chosen: as a part of the highest speed ahead in the logs.
+
     If there is one estimation log (``logs``; 0: unknown), or if the pole is less than four standard errors from zero, a
     further sentence says so, and what to record.
 
@@ -1618,7 +1641,11 @@ def course_sentence(course: CourseStability | None, model: Model | None = None, 
     heading = ""
     if course.heading is not None:
         heading = f" on heading {math.degrees(course.heading):.0f} deg (the least stable one)"
-    begin = f"At {course.speed:.3g} m/s{heading} the boat is directionally unstable"
+    chosen = ""
+    if course.share is not None:
+        chosen = f" ({100.0 * course.share:.0f} % of the highest speed ahead in the logs)"
+    where = f"At {course.speed:.3g} m/s{chosen}{heading}"
+    begin = f"{where} the boat is directionally unstable"
     grows = f"without a controller a small yaw rate grows by a factor of e in {1.0 / course.pole:.3g} s"
     if course.low is None or course.high is None:
         return f"{begin}: {grows} (the 95 % interval is unknown).{_course_doubt(math.nan, logs)}"
@@ -1627,7 +1654,7 @@ def course_sentence(course: CourseStability | None, model: Model | None = None, 
         t = Z95 * course.pole / (course.pole - course.low) if course.pole > course.low else math.inf
         return f"{begin}: {grows} (95 % interval: {fastest} to {1.0 / course.low:.3g} s).{_course_doubt(t, logs)}"
     return (
-        f"At {course.speed:.3g} m/s{heading} the directional stability is {NOT_SHOWN}: without a "
+        f"{where} the directional stability is {NOT_SHOWN}: without a "
         f"controller a small yaw rate may grow by a factor of e in {fastest} s or decay in "
         f"{-1.0 / min(course.low, -1e-9):.3g} s (95 % interval). To find out, record {TURNS_FOR_STABILITY}."
     )

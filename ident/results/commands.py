@@ -123,13 +123,16 @@ class FitContext:
     effect_parameters: Sequence[str] = ()
 
 
+# Beginning of the notes on a fit without score tests, which the terminal shows
+NOT_TESTED = "The model was not tested for missing effects by score tests"
 UNTESTED = (
-    "The model was not tested for missing effects by score tests: small errors of sensors and hull form are not "
-    "estimated, and their influence is not in the standard errors. Take the estimates as a first look."
+    f"{NOT_TESTED}: the standard errors assume a complete model. Small errors of sensors and hull form are not "
+    "estimated (--no-score-tests skips them), and neither these nor missing effects, such as a difference between the "
+    "thrusters, are in the standard errors. Take the estimates as a first look."
 )
 STILL_UNTESTED = (
-    "The model was not tested for missing effects by score tests: the influence of effects that it lacks is not in the "
-    "standard errors. It has these small errors of sensors and hull form: "
+    f"{NOT_TESTED}: the standard errors assume a complete model, without the influence of effects that it lacks, such "
+    "as a difference between the thrusters. It has these small errors of sensors and hull form: "
 )
 # Beginning of a note that the terminal shows
 ONLY_CHOSEN = "The chosen effects were added without the small errors of sensors and hull form"
@@ -363,7 +366,7 @@ def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: 
         *first,
         *outliers,
         *calibration_notes(calibration, evaluation.horizon),
-        *warm_up_notes(simulated_durations(evaluation)),
+        *warm_up_notes(simulated_durations(evaluation), evaluation.model.kind),
     )
 
 

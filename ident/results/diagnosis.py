@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import degrees, isfinite
 from typing import NamedTuple, cast
@@ -92,8 +92,10 @@ from seatrial.ident.results.tables import (
     traces,
     tracks,
 )
+from seatrial.ident.validation import PredictionEvaluation
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
+USABLE_ERROR = 0.05  # of the range of force or shaft speed, up to which the thrust curve of a bench can be used
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 CLEAR_CRITERION = 10.0  # of a refit, from which its data clearly support it (Kass and Raftery 1995)
@@ -170,17 +172,21 @@ def diagnosis_result(
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
     rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
-    answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors))
+    bench = diagnosis.after.fit.model.kind is ModelKind.BENCH
+    answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors), bench=bench)
     stability = dynamics.course if dynamics else None
     course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
-    late = late_command_sentence(made) if diagnosis.after.fit.model.kind is ModelKind.BENCH else ""
+    late = late_command_sentence(made) if bench else ""
+    usable = ""
+    if bench and not diagnosis.effects:
+        usable = _usable_thrust_sentence(errors, _measured_ranges(after), doubted=bool(diagnosis.rounds))
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
-        + (failed or late + " ".join(filter(None, [answer, worse, straight_sentence(dynamics), course, wind]))),
-        caveat=None if failed else diagnosis_caveat(diagnosis),
+        + (failed or late + " ".join(filter(None, [usable, answer, worse, straight_sentence(dynamics), course, wind]))),
+        caveat=None if failed else diagnosis_caveat(diagnosis, bench=bench),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
         warnings=(
@@ -209,7 +215,7 @@ def diagnosis_result(
             *_blocks_note(evaluation),
             *outlier_lines(after.estimation_residuals, after.model),
             *calibration_notes(calibration, after.horizon),
-            *warm_up_notes(simulated_durations(after)),
+            *warm_up_notes(simulated_durations(after), after.model.kind),
         ),
         fit=with_rival_values(
             fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
@@ -286,6 +292,8 @@ def diagnosis_answer(
     prediction: parts.PredictionChangeRow | None,
     horizon: float,
     poor: tuple[str, float] | None = None,
+    *,
+    bench: bool = False,
 ) -> str:
     """Return the answer of a diagnosis: the missing effects, and the change of the prediction errors by them.
 
@@ -304,8 +312,10 @@ def diagnosis_answer(
         Prediction horizon [s].
     poor : tuple of (str, float) or None
         Channel that the model predicts worse than by its mean value, and its fit (negative); None without one.
+    bench : bool
+        Whether the model is that of a thruster on a bench. No command but the diagnosis fits effects to it.
     """
-    sentences = [_missing_effects_sentence(diagnosis, prediction, horizon)]
+    sentences = [_missing_effects_sentence(diagnosis, prediction, horizon, bench)]
     if poor is not None and not diagnosis.effects and diagnosis.rounds:
         sentences.append(
             f"But the model predicts one channel {horizon:g} s ahead worse than its mean value would: {poor[0]}, fit "
@@ -340,6 +350,44 @@ def _waves_sentence(frequency: float) -> str:
         "`seatrial ident vehicle --effect waves` estimates them, which can improve short predictions and standard "
         "errors, and a diagnosis of that model may find more."
     )
+
+
+def _measured_ranges(evaluation: PredictionEvaluation) -> dict[str, float]:
+    """Return the range of each measured channel in the headline set of an evaluation, in the unit of the channel.
+
+    It is from the 1 % to the 99 % quantile of the samples of all records, which leaves outliers out. Channels without
+    samples are left out.
+    """
+    found: dict[str, float] = {}
+    records = [p.record for p in evaluation.sets[evaluation.headline_set].records]
+    for j, output in enumerate(evaluation.model.outputs):
+        y = np.concatenate([r.y[:, j] for r in records]) if records else np.empty(0)
+        if (y := y[np.isfinite(y)]).size:
+            found[output.name] = float(np.percentile(y, 99) - np.percentile(y, 1))
+    return found
+
+
+def _usable_thrust_sentence(errors: parts.Errors, ranges: Mapping[str, float], *, doubted: bool) -> str:
+    """Return the sentence that a bench model predicts force and shaft speed well enough to use its thrust curve.
+
+    The errors are those of the simulation from the command, or over the horizon without one, relative to ``ranges``
+    (`_measured_ranges`). The text is empty if the force or one of the errors is unknown, or if one of them is more than
+    5 % of its range. If the score tests ``doubted`` the model, a clause says that their findings are in these errors.
+    """
+    data = errors.estimation if errors.validation is None else errors.validation
+    table, how = (data.simulation, "from the command alone") if data.simulation else (data.horizon, "over the horizon")
+    found = []
+    for name in (n for n in ("force", "n") if n in table):
+        error, size = table[name].after, ranges.get(name, 0.0)
+        if error is None or size <= 0.0 or error > USABLE_ERROR * size:
+            return ""
+        unit, share = f" {table[name].unit}" if table[name].unit else "", f"{100.0 * error / size:.2g}"
+        found.append(f"the {NAMES.get(name, name)} within {format_number(error)}{unit} (rms, {share} % of its range)")
+    if "force" not in table:
+        return ""
+    small = f"within {'these small errors' if len(found) > 1 else 'this small error'}"
+    rest = f" What the score tests find is {small}." if doubted else ""
+    return f"The model predicts {' and '.join(found)} {how}: the thrust curve can be used.{rest}"
 
 
 def _worse_simulation_sentence(errors: parts.Errors) -> str:
@@ -379,14 +427,15 @@ def _likelihood_sentence(diagnosis: Diagnosis, role: str) -> str:
 
 
 def _missing_effects_sentence(
-    diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float
+    diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float, bench: bool
 ) -> str:
     """Return the sentences on the missing effects, or on why no effect was added.
 
     Without effects, the first of these that applies is stated: there are validation runs that the model does not fit
     (and, if there was no round, a sentence that no effect was found); there was no round (perhaps because the data are
     short); candidates could not be refitted; effects were removed because the prediction is as good without them; the
-    smallest p value, above 1e-6, may be by chance; no candidate explains the residuals.
+    smallest p value, above 1e-6, may be by chance; no candidate explains the residuals. ``bench``: whether the model is
+    that of a thruster on a bench.
     """
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=_fell_enough(diagnosis, prediction))}."
@@ -411,9 +460,10 @@ def _missing_effects_sentence(
     if immaterial := [r for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
         titles = _joined_titles([r.effect.title for r in immaterial])
+        sizes = _removed_sentences(diagnosis, immaterial, horizon, bench)
         return (
             f"No effect of the catalogue improves the prediction: {titles} {do} a part of the residuals one step "
-            f"ahead, but the prediction is as good without {them}. {_removed_sentences(diagnosis, immaterial, horizon)}"
+            f"ahead, but the prediction is as good without {them}. {sizes}"
         )
     # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
     why = last.explanation
@@ -422,13 +472,14 @@ def _missing_effects_sentence(
     strongest = min(last.scores, key=lambda s: s.p)
     if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
-    nearest = _nearest_effects(last, strongest.name)
+    nearest = _nearest_effects(last, strongest.name, bench)
     return (
         f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
         f"({_p_in_words(strongest.p)}), but no candidate explains the residuals: {why}. {nearest}A score test can "
-        "find what the tests of whiteness and of the correlations with the inputs miss. Give all logs of the boat "
-        "first, as further logs of the estimation or with --validate; if there are no others, record longer runs. Look "
-        "at the residuals in the report."
+        "find what the tests of whiteness and of the correlations with the inputs miss. Give all logs of "
+        f"{'this thruster on the bench' if bench else 'the boat'} first, as further logs of the estimation or with "
+        f"--validate; if there are no others, record longer {'tests' if bench else 'runs'}. Look at the residuals in "
+        "the report."
     )
 
 
@@ -437,13 +488,14 @@ def _p_in_words(p: float) -> str:
     return f"p = {p:.1g}" if p > 0.0 else "p < 1e-300"
 
 
-def _nearest_effects(search_round: Round, strongest: str) -> str:
+def _nearest_effects(search_round: Round, strongest: str, bench: bool) -> str:
     """Return the sentences on the effects of the catalogue that come nearest in a round without an added effect.
 
     The estimation data clearly support them (a criterion above `CLEAR_CRITERION`), and the validation data neither
     support nor contradict them. The `MOST_NEAREST` effects with the largest t statistics of their validation are given,
     with their sizes in the rough fits. If the candidate ``strongest`` of the score tests is not among them, a sentence
-    says why. The text ends with a space; it is empty if no effect comes near.
+    says why. For a model of the ``bench``, further logs are advised, because no fit takes its effects. The text ends
+    with a space; it is empty if no effect comes near.
     """
     undecided = [
         r
@@ -460,12 +512,16 @@ def _nearest_effects(search_round: Round, strongest: str) -> str:
     each = [f"{r.effect.title} ({size})" for r, size in zip(near, sizes, strict=True)]
     options = " ".join(f"--effect {r.effect.name}" for r in near)
     left_out = "" if strongest in {r.effect.name for r in near} else _why_not_near(search_round, strongest)
+    them = "them" if len(near) > 1 else "it"
+    advice = f"`seatrial ident vehicle {options}` estimates {them} with the model."
+    if bench:
+        advice = f"A diagnosis with longer or further logs of the bench decides, and adds {them} if the data agree."
     return (
         f"The effects that come nearest are {_joined_titles(each)}: the estimation data support them, and the "
-        f"validation data are too few to decide. `seatrial ident vehicle {options}` estimates them with the model. "
+        f"validation data are too few to decide. {advice} "
         if len(near) > 1
         else f"The effect that comes nearest is {each[0]}: the estimation data support it, and the validation data are "
-        f"too few to decide. `seatrial ident vehicle {options}` estimates it with the model. "
+        f"too few to decide. {advice} "
     ) + left_out
 
 
@@ -475,11 +531,11 @@ def _removal(removed: RemovedEffect, diagnosis: Diagnosis) -> str:
     return f"{removal_reason(removed, diagnosis.policy)}; {data}"
 
 
-def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], horizon: float) -> str:
+def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], horizon: float, bench: bool) -> str:
     """Return sentences on each effect that the validation data support and that was left out, with its size.
 
     A single effect has no name in them, because the sentence before names it. ``horizon`` is that of the
-    prediction [s].
+    prediction [s]. For a model of the ``bench``, no command is named: none fits effects to it but the diagnosis.
     """
     found = []
     for r in removed:
@@ -490,7 +546,7 @@ def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], h
         found.append(
             f"The validation data support {what}{f' ({size})' * bool(size)}: their log-likelihood "
             f"{_rises(r.validation_gain)} (t = {r.t:.1f}). It is left out because the prediction {horizon:g} s ahead "
-            f"is no better with it{use * (r.effect.name in catalogue())}."
+            f"is no better with it{use * (r.effect.name in catalogue() and not bench)}."
         )
     return " ".join(found)
 
@@ -502,16 +558,37 @@ def _last_refit(diagnosis: Diagnosis, name: str) -> Refit | None:
 
 
 def _strongest_left_out(diagnosis: Diagnosis) -> str:
-    """Return the sentence why the strongest remaining candidate that was fitted is not in the model; "" without one."""
-    removed = {r.effect.name: r for r in diagnosis.removed}
+    """Return the sentence why the strongest remaining candidate that was fitted is not in the model; "" without one.
+
+    Candidates whose fit is noise (`_is_noise`) are not named.
+    """
+    removed, begin = {r.effect.name: r for r in diagnosis.removed}, "Of those that were fitted"
     for s in diagnosis.remaining:
         refit, gone = _last_refit(diagnosis, s.name), removed.get(s.name)
         if refit is not None:
+            if _is_noise(refit, refit.validation_gain if gone is None else gone.validation_gain):
+                begin = "Of those that were fitted with a clear size and gain"
+                continue
             size = sizes_in_words(refit.effect, refit.fitted)
             why = _refit_clause(refit) if gone is None else f"it was removed again: {_removal(gone, diagnosis)}"
             title = f"{candidate_title(s.name)}{f' ({size})' * bool(size)}"
-            return f"Of those that were fitted, the strongest is {title}: {why}."
+            return f"{begin}, the strongest is {title}: {why}."
     return ""
+
+
+def _is_noise(refit: Refit, gain: float) -> bool:
+    """Return whether the fit of a candidate says nothing about it.
+
+    Its ``gain`` in log-likelihood of the validation data then rounds to zero, or each of its sizes is smaller than its
+    standard error.
+    """
+    if abs(gain) < 0.5:
+        return True
+    sizes = [p.name for p in refit.effect.parameters if p.value == 0.0 and not p.per_record]
+    if not sizes:
+        return False
+    rows = [row for row in effect_parameter_rows(refit.effect, refit.fitted) if row.name.removesuffix("/T") in sizes]
+    return bool(rows) and all(row.se is not None and abs(row.value) < row.se for row in rows)
 
 
 def _why_not_near(search_round: Round, name: str) -> str:
@@ -816,13 +893,14 @@ def _resembling(titles: Sequence[str]) -> str:
     )
 
 
-def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
+def diagnosis_caveat(diagnosis: Diagnosis, *, bench: bool = False) -> str | None:
     """Return the caveat of a diagnosis: uncertain names of effects, and residuals that are left unexplained.
 
     The text gives the first reason of each uncertain name, and names the experiment that may decide. If the search
     ended by --max-effects, the text gives the number of added effects and the candidates that were not tried. If all
     names are certain and candidates still pass the score test, it gives their number, the strongest one, the reason why
-    none was added, and an advice. The result is None if none of these cases applies.
+    none was added, and an advice. The result is None if none of these cases applies. ``bench``: whether the model is
+    that of a thruster on a bench.
     """
     titles = {r.effect.name: r.effect.title for r in diagnosis.effects}
     doubted = [j for j in diagnosis.attributions if j.attribution == "ambiguous" and j.reasons]
@@ -841,7 +919,7 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
             f"--max-effects {limit}; give a larger number to try the other candidates: {_remaining_names(diagnosis)}."
         )
     elif diagnosis.effects and diagnosis.remaining and not doubted:
-        sentences += _remaining_sentences(diagnosis)
+        sentences += _remaining_sentences(diagnosis, bench)
     return " ".join(sentences) or None
 
 
@@ -865,12 +943,12 @@ def _physical_parameters(model: Model) -> list[str]:
     return [p.name for p in model.parameters if model.role(p.name) is ParameterRole.DYNAMICS and force_power(p.unit)]
 
 
-def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
+def _remaining_sentences(diagnosis: Diagnosis, bench: bool) -> list[str]:
     """Return the sentences on the candidates that still pass their score tests beside the effects found.
 
     They list the candidates, give the reason why the search added none of them, and recommend what to do next. If the
     candidates were too small to be tried, nothing has to be done. The sentences are for a search that did not end by
-    the largest number of effects.
+    the largest number of effects. ``bench``: whether the model is that of a thruster on a bench.
     """
     n, names = len(diagnosis.remaining), _remaining_names(diagnosis)
     which = f"; the strongest are {names}" if n > MOST_REMAINING else f": {names}"
@@ -893,8 +971,8 @@ def _remaining_sentences(diagnosis: Diagnosis) -> list[str]:
         advice = "To find out, record the recommended experiment (Next experiment, in the report), and diagnose again."
     else:
         advice = (
-            "To find out, give all logs of the boat, or record longer and more varied runs, and diagnose again with "
-            "their logs."
+            f"To find out, give all logs of {'this thruster on the bench' if bench else 'the boat'}, or record longer "
+            f"and more varied {'tests' if bench else 'runs'}, and diagnose again with their logs."
         )
     use = "The model can be used: its standard errors include how far such a candidate would shift an estimate."
     return [
@@ -1124,8 +1202,7 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     could not be fitted. A nonparametric curve could not be fitted in place of an ambiguous effect.
     """
     texts = [
-        f"The boat may have this effect, but it could not be fitted: {u.effect.title} ({u.reason}). Longer logs "
-        "may help."
+        f"This effect may be there, but it could not be fitted: {u.effect.title} ({u.reason}). Longer logs may help."
         for u in diagnosis.untested
     ]
     texts += [f"This effect was not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]

@@ -881,9 +881,16 @@ class FrequencyResponse(Part, frozen=True, kw_only=True):
 
 
 class CourseStability(Part, frozen=True, kw_only=True):
-    """Least stable pole of sway and yaw, at the speeds of the data: whether the boat holds a straight course."""
+    """Least stable pole of sway and yaw, at a speed in the data: whether the boat holds a straight course."""
 
     speed: Annotated[float, Meta(description="speed of the linear model [m/s]")]
+    share: Annotated[
+        float | None,
+        Meta(
+            description="`speed` as a part of the highest speed ahead in the estimation data (99 % quantile); null: "
+            "the speed of the least stable linear model, or a result of an earlier version"
+        ),
+    ] = None
     heading: Annotated[
         float | None,
         Meta(

@@ -468,7 +468,8 @@ def _result(
         f"Each verdict is at the level of 95 %: of {counted(verdicts, 'verdict')} on equal models, about "
         f"{CHANCE * verdicts:.1g} would be wrong by chance."
     )
-    short = warm_up_notes((name, float(part.t[-1] - part.t[0])) for by in predicted for name, part in by.items())
+    simulated_parts = ((name, float(part.t[-1] - part.t[0])) for by in predicted for name, part in by.items())
+    short = warm_up_notes(simulated_parts, compared[0].saved.model.kind)
     simulated = max(float(part.t[-1] - part.t[0]) for part in predicted[0].values()) - WARM_UP
     result = ComparisonResult(
         created=made.created,

@@ -38,6 +38,7 @@ POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
 LEAST_GAIN = 0.01  # of the largest difference of both sides: a further mean with a smaller gain is not worth a curve
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
+COURSE_SHARE = 0.75  # speed at which the stability on course is reported, as a part of the highest one in the data
 SPEEDS_OF_DAMPING = 101  # speeds at which the damping of sway is computed
 COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest command
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
@@ -77,7 +78,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
     if linear:
         middle = linear[(len(linear) - 1) // 2]
         steps, responses = _steps(middle, drives), _responses(middle, drives)
-        course = _course_stability(linear, ranges.get("u"))
+        course = _course_by_rule(model, ranges, known, conditions, linear)
         if "psi" in conditions:
             at, angles = [x.speed for x in linear], (2.0 * np.pi * k / HEADINGS for k in range(HEADINGS))
             by_heading, beside = dict[float, list[LinearModel]](), linear
@@ -90,7 +91,14 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
                 if x.speed == middle.speed
             ]
             if _differ_by_heading(headings):
-                course = _worst_course(model, by_heading, known, conditions, ranges.get("u")) or course
+                share = None if course is None else course.share
+                if course is not None and share is not None:
+                    by_heading = {
+                        psi: _linear_models(model, [course.speed], None, {**conditions, "psi": psi}, found)
+                        for psi, found in by_heading.items()
+                    }
+                worst = _worst_course(model, by_heading, known, conditions, ranges.get("u"))
+                course = course if worst is None else msgspec.structs.replace(worst, share=share)
             else:  # for example a wind of nearly zero
                 headings = []
         if course is not None:
@@ -104,7 +112,7 @@ def dynamics_of(fitted: FittedModel) -> Dynamics | None:
 
 
 def course_at_speeds(model: Model, ranges: Mapping[str, tuple[float, float]]) -> CourseStability | None:
-    """Return the least stable pole of sway and yaw of a model at the speeds of its data, without a 95 % interval.
+    """Return the pole of sway and yaw of a model, at the same speed as `dynamics_of`, without a 95 % interval.
 
     Parameters
     ----------
@@ -121,8 +129,42 @@ def course_at_speeds(model: Model, ranges: Mapping[str, tuple[float, float]]) ->
     fastest = ranges.get("u", (0.0, 0.0))[1]
     if model.kind is not ModelKind.VEHICLE or fastest <= 0.0:
         return None
-    linear = _linear_models(model, _operating_speeds(fastest), None, chosen_conditions(model, ranges))
-    return _course_stability(linear, ranges["u"]) if linear else None
+    conditions = chosen_conditions(model, ranges)
+    linear = _linear_models(model, _operating_speeds(fastest), None, conditions)
+    return _course_by_rule(model, ranges, None, conditions, linear) if linear else None
+
+
+def _course_by_rule(
+    model: Model,
+    ranges: Mapping[str, tuple[float, float]],
+    known: ParameterCovariance | None,
+    conditions: Mapping[str, float],
+    linear: Sequence[LinearModel],
+) -> CourseStability | None:
+    """Return the least stable pole of sway and yaw at three quarters of the highest speed ahead in the data.
+
+    This speed is nearly the same for all fits to nearly the same data, which a speed is not that the model gives.
+    Without a linear model there, or if the data have no speed ahead, the least stable pole of the models ``linear`` is
+    returned, and its ``share`` is None.
+
+    Parameters
+    ----------
+    model
+        The fitted model.
+    ranges
+        Range of each signal in the data by name, that of the forward speed ``u`` [m/s] among them.
+    known
+        Covariance of the estimates; None: without a 95 % interval.
+    conditions
+        Conditions of the model.
+    linear
+        Linear models at other speeds, near which the operating point is searched.
+    """
+    speed = float(f"{COURSE_SHARE * max(ranges.get('u', (0.0, 0.0))[1], 0.0):.2g}")
+    own = _linear_models(model, [speed], known, conditions, linear) if speed > 0.0 else []
+    if (course := _course_stability(own, None)) is not None:
+        return msgspec.structs.replace(course, share=COURSE_SHARE)
+    return _course_stability(linear, ranges.get("u"))
 
 
 def _differ_by_heading(headings: Sequence[HeadingPoint]) -> bool:

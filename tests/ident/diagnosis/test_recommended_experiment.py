@@ -13,6 +13,7 @@ from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution
 from seatrial.ident.effects import catalogue, nonparametric_effect
 from seatrial.ident.model import Effect, EffectKind, ForceCurve
 from seatrial.ident.models import horizontal_model, with_disturbances
+from seatrial.ident.models.thruster import thruster_model
 
 OWN = replace(catalogue()["cubic-drag"], name="skeg-drag", title="drag of the skeg")  # of a file of the user
 
@@ -100,7 +101,12 @@ def blank_score(name: str) -> SimpleNamespace:
         (of(untested=[object()]), "could not be fitted"),
         (of(effects=("wind",), attributions=[judged("identified")]), "no competing effect is left"),
         (
-            of(effects=("wind",), attributions=[judged("identified")], remaining=[blank_score("lift")]),
+            of(
+                effects=("wind",),
+                attributions=[judged("identified")],
+                remaining=[blank_score("lift")],
+                before=SimpleNamespace(model=horizontal_model()),
+            ),
             "To test one, fit the model again with --effect lift, and compare both models on logs of neither fit",
         ),
     ],
@@ -119,6 +125,13 @@ def test_candidates_beside_the_effects_get_the_command_that_tells_two_of_them_ap
     curves = [SimpleNamespace(name="N(u, r)", kind=EffectKind.NONPARAMETRIC)]
     alone = of(effects=("wind",), attributions=[judged("identified")], remaining=curves)
     assert "record longer and more varied runs" in reason_without_experiment(alone)
+    of_bench = of(
+        effects=("stiction",), attributions=[judged("identified")], remaining=[blank_score("cell-lag")],
+        before=SimpleNamespace(model=thruster_model()),
+    )  # fmt: skip
+    reason = reason_without_experiment(of_bench)
+    assert reason.endswith("To test them, record longer and more varied tests on the bench, and diagnose again")
+    assert "--effect" not in reason
 
 
 @pytest.mark.parametrize(

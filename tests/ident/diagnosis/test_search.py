@@ -408,6 +408,30 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
     )
 
 
+def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None:
+    """No fit of a thruster takes effects: only the diagnosis adds them."""
+    scores = (Score("cell-lag", 133.0, 1, 46.0, {}, {}, threshold=22.0),)
+    undecided = replace(refit("cell-lag", 30.0, gain=4.7, t=1.9), outcome=Outcome.NOT_VALIDATED)
+    found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, (), (undecided,), None),), (), ())
+    answer = diagnosis_answer(found, None, 1.0, bench=True)
+    assert "too few to decide. A diagnosis with longer or further logs of the bench decides, and adds it if" in answer
+    assert "Give all logs of this thruster on the bench first, as further logs of the estimation or with" in answer
+    left = replace(found, removed=(RemovedEffect(refit("cell-lag", 30.0).effect, 662.0, 6.6, SAME),))
+    removed = diagnosis_answer(left, None, 1.0, bench=True)
+    assert "is no better with it." in removed
+    boat = " ".join((diagnosis_answer(found, None, 1.0), diagnosis_answer(left, None, 1.0)))
+    assert boat.count("`seatrial ident vehicle --effect cell-lag` estimates it with the model.") == 2
+    chosen = refit("stiction", 900.0)
+    after = blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
+    weight = EffectImportance("stiction", 900.0, 1.3, 50.0, 5.0)
+    rounds = (Round((), (), (chosen,), chosen), Round(scores, (), (), None))
+    beside = Diagnosis(after, after, rounds, scores, (), importances=(weight,))
+    caveat = str(diagnosis_caveat(beside, bench=True))
+    assert "give all logs of this thruster on the bench, or record longer and more varied tests, and" in caveat
+    for text in (answer, removed, caveat):
+        assert not any(word in text for word in ("boat", "ident vehicle", "--effect"))
+
+
 @pytest.mark.parametrize(
     ("wind", "said"),
     [
@@ -433,6 +457,37 @@ def test_the_strongest_candidate_is_among_the_nearest_or_the_answer_says_why_not
     refits = tuple(replace(r, outcome=Outcome.NOT_VALIDATED) for r in fits)
     found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, ("wind",), refits, None),), (), ())
     assert said in diagnosis_answer(found, None, 10.0)
+
+
+def sized(gain: float, size: float, error: float) -> Refit:
+    """Return a refit of a damping with this size and standard error, and this gain on the validation data."""
+    effect = Effect("damping", "damping", {}, (Parameter("X_rr", 0.0, "kg m"), Parameter("w", 0.2, "m")))
+    estimates = {"X_rr": (size, error), "w": (0.3, 0.1)}
+    fit = blank(
+        model=blank(parameters=(), inputs=(), values={}), flags=(), records=("run1",),
+        estimate=staticmethod(lambda name, record=0: estimates[name]),
+    )  # fmt: skip
+    return replace(refit("damping", 30.0, gain=gain, t=0.9), effect=effect, fitted=blank(fit=fit),
+                   outcome=Outcome.NOT_VALIDATED)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("gain", "size", "error", "named"),
+    [(4.0, 2.0, 1.2, True), (0.3, 2.0, 1.2, False), (-0.2, 2.0, 1.2, False), (4.0, 0.4, 1.2, False)],
+)
+def test_a_left_out_candidate_that_is_noise_is_not_named(gain: float, size: float, error: float, named: bool) -> None:
+    """An answer once named a force of 0.4 ± 1.2 kg whose log-likelihood "rises by 0"."""
+    chosen, after = refit("hump", 900.0), blank(fit=blank(flags=(), model=blank(parameters=(), outputs=())))
+    left = [Score(name, 90.0, 1, 50.0, {}, {}, threshold=12.0) for name in ("damping", "wind")]
+    wind = replace(refit("wind", 30.0, gain=3.0, t=1.0), outcome=Outcome.NOT_VALIDATED)
+    rounds = (Round((), (), (chosen,), chosen), Round(tuple(left), (), (sized(gain, size, error), wind), None))
+    weight = EffectImportance("hump", 900.0, 1.3, 50.0, 5.0)
+    found = Diagnosis(after, after, rounds, tuple(left), (), importances=(weight,))
+    caveat = str(diagnosis_caveat(found))
+    assert ("Of those that were fitted, the strongest is damping (X_rr = 2.0 ± 1.2 kg m):" in caveat) is named
+    clear = "Of those that were fitted with a clear size and gain, the strongest is steady wind: the validation data do"
+    assert (clear in caveat) is not named
+    assert "rises by 0 " not in caveat
 
 
 def test_nearest_effects_have_their_sizes() -> None:

@@ -169,6 +169,24 @@ def test_log_gives_the_thruster_name_and_errors_name_missing_signals() -> None:
         thruster.thruster_runs([log], thruster_model(force=False), "bow")
 
 
+@pytest.mark.slow
+def test_diagnosis_of_a_complete_bench_model_says_that_its_thrust_curve_can_be_used(tmp_path: Path) -> None:
+    log = str(bench_log(tmp_path / "bench.mcap", draw_bench(3), 1))
+    model, out = str(tmp_path / "thruster/model.toml"), tmp_path / "diagnosis"
+    for words in (
+        ("ident", "thruster", log, "--out", str(tmp_path / "thruster")),
+        ("ident", "diagnose", model, log, "--out", str(out)),
+    ):
+        with pytest.raises(SystemExit) as left:
+            command_line.main(words)
+        assert left.value.code == 0
+    result = json.loads((out / "result.json").read_text())
+    assert not result["effects"]
+    assert result["answer"].startswith("The model predicts the force within ")
+    assert "from the command alone: the thrust curve can be used." in result["answer"]
+    assert "boat" not in result["answer"] + " ".join(result["notes"])
+
+
 @pytest.mark.study
 @pytest.mark.slow
 def test_diagnose_command_finds_a_hidden_bench_effect(tmp_path: Path) -> None:

@@ -283,7 +283,7 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
     )
     assert change_sentence(change, 10.0) == (
         "Prediction 10 s ahead on validation data, all channels: with the added effects the error falls by 42 % (95 % "
-        "interval: 37 to 46 %); better: heading, north; worse: surge specific force."
+        "interval: 37 to 46 %); better: heading, position north; worse: surge specific force."
     )
     rose = msgspec.structs.replace(change, ratio=1.12, low=1.05, high=1.2, verdict="rose", better=(), worse=("ax",))
     assert "rises by 12 % (95 % interval: 5 to 20 %); worse: surge" in change_sentence(rose, 10.0)
@@ -292,6 +292,14 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
         "no significant change of the error with the added effects (-3 %; 95 % interval: -10 to +5 %)."
         in change_sentence(same, 10.0)
     )
+    nearly = change_sentence(msgspec.structs.replace(same, ratio=0.57, low=0.32, high=1.01), 10.0)
+    assert nearly.endswith(
+        "(-43 %; 95 % interval: -68 to +1 %). The error is probably smaller with the effects: a shorter horizon "
+        "(--horizon 5) or more validation data can decide."
+    )
+    for ratio, high in ((0.57, 1.06), (0.97, 1.01)):  # an end far from no change, and a small change
+        other = msgspec.structs.replace(same, ratio=ratio, low=0.3, high=high)
+        assert "probably" not in change_sentence(other, 10.0)
     little = msgspec.structs.replace(same, ratio=0.996, low=0.991, high=0.9996, verdict="fell")
     assert "falls by 0.4 % (95 % interval: 0.0 to 0.9 %)." in change_sentence(little, 10.0)
     least = msgspec.structs.replace(same, ratio=0.9999, low=0.98, high=1.02)
@@ -330,7 +338,7 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     answer = vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
     assert answer.startswith(
         f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %). Best "
-        "channel: 99 % (north); worst: 10 % (surge specific force). "
+        "channel: 99 % (position north); worst: 10 % (surge specific force). "
     )
     worst = LargestErrorsRow(record="morning", begin=20.0, end=40.0, share=0.61)
     wide = PredictionFit(role="estimation", fit=0.78, low=-17.65, high=1.0, largest_errors=worst)
@@ -369,7 +377,7 @@ def test_correlation_with_an_input_is_quantified() -> None:
         [0.5], [("n", 1e-9), ("m", 1e-5), ("k", 0.5)], correlations=[0.04, 0.071, 0.3], searchable=True
     )
     assert known == (
-        "The residuals are correlated with the inputs (correlation up to 0.071, north): run `seatrial ident "
+        "The residuals are correlated with the inputs (correlation up to 0.071, position north): run `seatrial ident "
         "diagnose` to see whether an effect is missing."
     )
     assert residual_sentence([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
@@ -658,6 +666,8 @@ def test_short_simulations_say_how_much_they_cover() -> None:
         "The errors of the simulation leave out the 15 s of filtering before it: they cover 12 of 27 s of a, 5 of 20 s "
         "of c, 0 of 9 s of d. What the boat does before is not in them."
     )
+    (text,) = warm_up_notes([("a", 27.0)], ModelKind.BENCH)
+    assert text.endswith("12 of 27 s of a. What the thruster does before is not in them.")
 
 
 @pytest.mark.parametrize(("seconds", "n"), [(12.0, 1), (30.0, 0)])
@@ -725,6 +735,13 @@ def test_answer_has_the_headings_on_which_a_boat_in_wind_needs_most(
     )
     found = straight_sentence(Dynamics(points=(point,), conditions={"psi": 0.0}, headings=headings))
     assert found == (sentence if turns else "")
+
+
+def test_the_sentence_on_the_stability_says_how_its_speed_is_chosen() -> None:
+    said = "At 0.66 m/s (75 % of the highest speed ahead in the logs) the "
+    for low, verdict in ((0.2, "boat is directionally unstable: "), (-0.2, "directional stability is not shown by")):
+        course = CourseStability(speed=0.66, share=0.75, pole=0.3, low=low, high=0.8)
+        assert course_sentence(course).startswith(said + verdict)
 
 
 def test_the_least_stable_heading_is_named() -> None:

@@ -25,7 +25,7 @@ from seatrial.ident.results.parts import CourseStability, Dynamics, Provenance
 from seatrial.ident.results.result_file import to_json
 from seatrial.ident.validation.evaluation import evaluate
 from seatrial.ident.workflows import dynamics
-from seatrial.ident.workflows.dynamics import dynamics_of
+from seatrial.ident.workflows.dynamics import course_at_speeds, dynamics_of
 from seatrial.ident.workflows.output import validity
 from tests.missions import boat_with, channels_of, sail
 
@@ -101,6 +101,11 @@ def test_unstable_boat_is_named_with_its_time_constant() -> None:
     assert course is not None
     low, high = validity(fitted)["u"]
     assert low <= course.speed <= high
+    assert course.speed == float(f"{0.75 * high:.2g}")
+    assert course.share == 0.75
+    other = course_at_speeds(fitted.fit.model, validity(fitted))  # the same rule in a comparison
+    assert other is not None
+    assert (other.speed, other.pole) == (course.speed, pytest.approx(course.pole))
     true = boat.truth()
     u, (m_u, m_v, m_r) = course.speed, (true[n] for n in ("m_u", "m_v", "m_r"))
     block = [[-true["d_v"] / m_v, -m_u * u / m_v], [(m_u - m_v) * u / m_r, -true["d_r"] / m_r]]
@@ -123,6 +128,23 @@ def test_unstable_boat_is_named_with_its_time_constant() -> None:
     print_result(result, Console(file=text, width=4000))
     assert sentence in text.getvalue()
     assert json.loads(to_json(result))["dynamics"]["course"]["pole"] == pytest.approx(course.pole, rel=1e-6)
+
+
+def test_the_speed_of_the_stability_is_that_of_the_data_and_not_of_the_model(fitted: FittedModel) -> None:
+    """Fits with and without the first 20 s of a log once named 0.59 and 0.84 m/s, as if the boat had changed."""
+    model, known = fitted.fit.model, validity(fitted)
+    speeds, steady = set(), set()
+    for scale in (0.9, 1.0, 1.2):  # another drag moves the steady speeds, and the speed of the least stable one
+        own = [replace(p, value=scale * p.value) for p in model.parameters if p.name in ("d_u", "d_uu")]
+        found = dynamics_of(replace(fitted, fit=replace(fitted.fit, model=model.replace_parameters(*own))))
+        assert found is not None
+        assert found.course is not None
+        speeds.add(found.course.speed)
+        steady.add(found.points[-1].speed)
+    assert len(steady) == 3
+    assert speeds == {float(f"{0.75 * known['u'][1]:.2g}")}
+    backwards = course_at_speeds(model, {"u": (-0.5, 0.0)})
+    assert backwards is None
 
 
 @pytest.mark.parametrize(

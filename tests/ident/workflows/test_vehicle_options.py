@@ -163,7 +163,10 @@ def test_chosen_effects_without_score_tests_name_the_errors_that_they_lack(logs:
     assert note.endswith("add the effects to the model of a tested fit: model='FIT/model.toml'.")
     console = Console(record=True, width=2000)
     print_result(chosen.result, console)
-    assert ONLY_CHOSEN in console.export_text()
+    shown = console.export_text()
+    assert ONLY_CHOSEN in shown
+    assert "by score tests: the standard errors assume a complete model. Small errors of sensors and hull" in shown
+    assert "such as a difference between the thrusters, are in the standard errors. Take the estimates as" in shown
     tested = st.fit(logs[0], effects=["gnss-latency", "heading-lag"], **how)  # as if the tests had selected them
     assert any(n.startswith(ONLY_CHOSEN) for n in tested.notes)
     file = tested.save(logs[0].parent / "tested") / "model.toml"
