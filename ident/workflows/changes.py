@@ -169,11 +169,16 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     )  # fmt: skip
     result = msgspec.structs.replace(result, answer=campaigns_answer(result))
     if request.out is not None:
-        from seatrial.ident.report import write_report
-
-        write_result(result, request.out / "result.json")
-        write_report(result, request.out / "report.html")
+        write_changes(result, request.out)
     return Changes(result, table)
+
+
+def write_changes(result: CampaignsResult, folder: Path) -> None:
+    """Write result.json and report.html of a comparison of campaigns to a folder. Existing files are replaced."""
+    from seatrial.ident.report import write_report
+
+    write_result(result, folder / "result.json")
+    write_report(result, folder / "report.html")
 
 
 def _with_common_errors(

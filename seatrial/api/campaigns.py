@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from seatrial.api import tables
-from seatrial.api.arguments import as_path
+from seatrial.api.arguments import as_path, output_folder
 from seatrial.api.calls import python_call
 from seatrial.api.fits import FitOptions, Logs, vehicle_request
 from seatrial.api.fleet import common_window
@@ -70,6 +71,23 @@ class CampaignComparison(Shown):
         frame = import_library("pandas").DataFrame.from_dict(rows, orient="index", columns=["before", "after", *names])
         floats = [n for n in frame.columns if n not in ("changed", "unit")]
         return frame.astype(dict.fromkeys(floats, float))
+
+    def save(self, folder: PathLike) -> Path:
+        """Write result.json and report.html to a folder, as ``seatrial ident changes``, and return the folder.
+
+        fits.parquet is written during the fits, if `compare_campaigns` gets the folder as ``out``. `table` has its
+        rows.
+
+        Parameters
+        ----------
+        folder : path
+            Folder, which is created if it does not exist. Existing files of the same names are replaced.
+        """
+        from seatrial.ident.workflows.changes import write_changes
+
+        found = output_folder(folder)
+        write_changes(self.result, found)
+        return found
 
     def summary(self) -> str:
         """Return the answer and the tables as text, as the command does."""
@@ -136,9 +154,8 @@ def compare_campaigns(
         Whether the first four logs before are fitted together first, and the small errors of sensors and hull form that
         they show are added to the model of all logs. It has no influence on a model.toml or a model of your own.
     **options
-        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles`` and
-        ``thrust_of``. The default of
-        ``score_tests`` is False.
+        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles`` and ``thrust_of``. The
+        default of ``score_tests`` is False.
 
     Returns
     -------

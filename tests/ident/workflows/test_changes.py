@@ -219,6 +219,9 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     assert frame.loc["m_u", "scatter"] == mass.scatter
     assert not frame["changed"].any()
     assert repr(found).startswith("<CampaignComparison: 6 logs>\nNone of")
+    saved = found.save(folder / "saved")
+    assert sorted(p.name for p in saved.iterdir()) == ["report.html", "result.json"]
+    assert list(st.load(saved).to_pandas().index) == list(frame.index)
     assert list(frame.index) == [p.name for p in (*found.result.combinations, *found.result.parameters)]
     assert "None of " in found.answer
     assert f" nor has any of {len(found.result.combinations)} combinations of them." in found.answer
