@@ -275,7 +275,8 @@ def campaigns_answer(result: CampaignsResult) -> str:
         found += [_change_text(p) for p in sorted(changed, key=lambda p: (not _is_of_sides(p), p.p or 0.0))]
         more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
         words = "; ".join(found[:MOST_NAMES])
-        sentences = [f"{words[0].upper()}{words[1:]}{more}.", _counts_sentence(len(changed), len(tested), result, rate)]
+        words = f"T{words[1:]}" if words.startswith("the ") else words  # the name of a parameter keeps its letters
+        sentences = [f"{words}{more}.", _counts_sentence(len(changed), len(tested), result, rate)]
     else:
         n = len(result.combinations)
         rest = f", nor has {'a combination' if n == 1 else f'any of {n} combinations'} of them" if n else ""
