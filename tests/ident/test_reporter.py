@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
 from io import StringIO
 from types import SimpleNamespace
 from typing import Any
@@ -81,7 +82,7 @@ def test_a_design_in_python_shows_its_progress_like_a_diagnosis(monkeypatch: pyt
     class Stop(Exception):
         """End of the call after the reporter is made."""
 
-    def stopped(progress: bool | None = None) -> Messages:
+    def stopped(progress: bool | None = None, names: Mapping[str, str] | None = None) -> Messages:
         made.append(progress)
         raise Stop
 

@@ -347,7 +347,7 @@ def test_a_scale_that_is_guessed_from_the_largest_number_says_so_on_its_line(tmp
     lines = [line for line in guess_map(path).text.splitlines() if "rpm_" in line]
     remark = (
         "# scale: inferred, 1 / 900, the largest number of this file; better: 1 / (number at full speed), the same on "
-        "both sides and in all files"
+        "both sides, in all files and in the log of the bench"
     )
     assert len(lines) == 2
     assert all(line.endswith(f"}},  {remark}") for line in lines)
