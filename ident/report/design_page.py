@@ -205,7 +205,10 @@ def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
         "loop: model errors accumulate in the track, so leave a margin to the geofence of the rig file."
     )
     if (extent := track_extent(track.x, track.y, track.radius)) is not None:
-        words += f" With its band (95 % of the sampled boats at each time) the track takes {extent}."
+        words += (
+            f" With its band (at each time a circle about the nominal boat with 95 % of the sampled boats) the track "
+            f"takes {extent}; one boat needs less."
+        )
     if track.corner is not None and track.area is not None and track.inside is not None:
         (south, west), area = track.corner, track.area
         words += (
