@@ -112,7 +112,9 @@ def test_designed_mission_is_read_by_the_bench_and_shown(
     assert "predicted standard errors after this mission" in shown
     area = re.search(r"predicted track .*: (\d+ m north by .* from the start)", shown)
     assert area is not None
-    assert f"the track takes {area[1]}." in out.with_suffix(".html").read_text(encoding="utf-8").replace("\u00a0", " ")
+    assert f"the track takes {area[1]}; one boat needs less." in out.with_suffix(".html").read_text(
+        encoding="utf-8"
+    ).replace("\u00a0", " ")
     result = json.loads(out.with_suffix(".json").read_text())
     rows = {row["name"]: row for row in result["parameters"]}
     for name, error in mission.predicted_errors.items():
