@@ -65,9 +65,9 @@ class ViewedLog:
     """
 
     def __init__(self, path: Path, wait: bool = False) -> None:
-        """Read the log. With `wait`, nothing is read if the file does not exist yet.
+        """Read the log. With `wait`, a file that does not exist yet is read later.
 
-        Raise SeatrialError if the file is no log, or without `wait` if it does not exist.
+        Raise SeatrialError if the file is not a log, or if it does not exist and `wait` is false.
         """
         self.path, self._wait = path, wait
         self._lock = threading.Lock()

@@ -717,9 +717,9 @@ class LinearModel:
 
 
 def _numbers(name: str, values: ArrayLike, what: str) -> Array:
-    """Return the values of an argument as an array. Raise SeatrialError if one of them is no finite number.
+    """Return the values of an argument as an array. Raise SeatrialError if a value is not a finite number.
 
-    The message begins with the ``name`` of the argument and says ``what`` it needs, such as ``times [s]``.
+    The message begins with the ``name`` of the argument, and asks the user for ``what``, such as ``times [s]``.
     """
     try:
         found = np.asarray(values, dtype=float)

@@ -13,12 +13,12 @@ FACTORS = {"deg": math.degrees(1.0), "%": 100.0}  # from the unit of a parameter
 
 
 def size_in_words(value: float, error: float, unit: str) -> str:
-    """Return a size with its standard error and unit as text, such as "1.4 ± 0.1 s"."""
+    """Return a size with its standard error and unit as text, for example "1.4 ± 0.1 s"."""
     return f"{_with_error(value, error, 2)} {unit}"
 
 
 def share_in_words(share: float, error: float) -> str:
-    """Return a share of a thrust in per cent with its standard error as text, such as "90 ± 2"."""
+    """Return a share of a thrust in per cent with its standard error as text, for example "90 ± 2"."""
     return _with_error(100 * share, 100 * error, 0)
 
 

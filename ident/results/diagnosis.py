@@ -552,7 +552,7 @@ def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], h
 
 
 def _last_refit(diagnosis: Diagnosis, name: str) -> Refit | None:
-    """Return the last refit of a candidate in the search, by the name of its score; None if there is none."""
+    """Return the last refit of the candidate whose score has the name ``name``; None if the search did not refit it."""
     refits = (_refit_of(search_round.refits, name) for search_round in reversed(diagnosis.rounds))
     return next(filter(None, refits), None)
 
@@ -608,9 +608,9 @@ def _why_not_near(search_round: Round, name: str) -> str:
 
 
 def _refit_of(refits: Iterable[Refit], name: str) -> Refit | None:
-    """Return the refit of the candidate whose score has this name, None if there is none.
+    """Return the refit of the candidate whose score has the name ``name``; None if ``refits`` does not contain it.
 
-    The effect of a curve has the name of its score after the word "unknown".
+    A curve's effect is named "unknown", followed by the name of its score.
     """
     return next((r for r in refits if name in (r.effect.name, r.effect.name.removeprefix("unknown "))), None)
 

@@ -55,7 +55,7 @@ def with_rival_values(
 
 
 def _flagged(row: ParameterRow, flag: Flag | None) -> ParameterRow:
-    """Return the row of a parameter with a further flag; the same row for None."""
+    """Return the row of a parameter with ``flag`` added to its flags. Without a flag, the row is unchanged."""
     if flag is None:
         return row
     text, codes = "; ".join(filter(None, (row.flag, flag))), (*row.flag_codes, flag.code)

@@ -375,7 +375,7 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Return a value; the result is NaN if the value is None."""
+    """Return the value, or NaN in place of None."""
     return math.nan if value is None else value
 
 
