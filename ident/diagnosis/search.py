@@ -82,7 +82,7 @@ from seatrial.ident.diagnosis.score_test import (
     score_threshold,
 )
 from seatrial.ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
-from seatrial.ident.engine import quick_compilation
+from seatrial.ident.engine import common_kernels, contains, quick_compilation
 from seatrial.ident.estimation import (
     AT_BOUND,
     FIT_ERRORS,
@@ -246,7 +246,8 @@ def diagnose(
     search = _Search(records, validation_data, start.candidates, reporter, policy, start.common)
     if given := given_common_errors(before.fit.model, policy):
         search.keep_common_errors(CommonErrorsFit(given, before))
-    base, current, passed, weights, removed = search.run(before, max_effects)
+    with common_kernels() as search.larger_models:
+        base, current, passed, weights, removed = search.run(before, max_effects)
     search.work.ahead.clear()  # no further rounds and removals
     search.work.plan("evaluation", 3, 3)
     gone = {r.effect.name for r in removed}
@@ -771,6 +772,8 @@ class _Search:
         Number of rows of the estimation data.
     work
         Parts of the search that are done and still ahead, for the time left.
+    larger_models
+        Models whose compiled sensitivities serve many refits. Those in the list of a `common_kernels` context do.
     """
 
     def __init__(
@@ -794,6 +797,7 @@ class _Search:
         self.removed: list[RemovedEffect] = []  # by the backward eliminations so far
         self._tested: list[_TestedModel] = []
         self._possible_rounds = 1  # with the present one
+        self.larger_models: list[Model] = []
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
@@ -1370,6 +1374,12 @@ class _Search:
         size = self.policy.n_refits
         batches = [specific[k : k + size] for k in range(0, size * self.policy.n_batches, size)]
         last = [s for batch in batches for s in batch if s.name in failed]
+        curves = {
+            s.name: _nonparametric_effect_of(s, current)
+            for s in [s for s in passed if s.nonparametric][: self.policy.n_nonparametric]
+        }
+        specific_effects = [self.candidates[s.name] for batch in batches for s in batch]
+        self._share_kernels(current.fit.model, [*specific_effects, *curves.values()])
         n_generic, after = sum(s.nonparametric for s in passed), self._possible_rounds - 1
         n_most = sum(map(len, batches)) + min(n_generic, self.policy.n_nonparametric)
         self._plan(after, (len(batches[0]) + min(n_generic, 1), n_most))
@@ -1389,7 +1399,8 @@ class _Search:
             : self.policy.n_nonparametric
         ]
         self._plan(after, (len(unknown), len(unknown)))
-        self._refit_all(current, [(_nonparametric_effect_of(s, current), s) for s in unknown], refits, untested)
+        drawn = [(curves.get(s.name) or _nonparametric_effect_of(s, current), s) for s in unknown]
+        self._refit_all(current, drawn, refits, untested)
         self._plan(after, (0, 0))
         names = tuple(s.name for s in passed)
         refits, chosen = self._choose_refit(current, refits, untested)
@@ -1539,6 +1550,21 @@ class _Search:
                 return replace(exact, outcome=refit_outcome(exact, added, self.policy))
             reason = f"the fit with the added effect did not converge: it {fitted.fit.message}"
         raise ValueError(reason)
+
+    def _share_kernels(self, model: Model, effects: Sequence[Effect]) -> None:
+        """Let one kernel of sensitivities serve the refits of a model with each of the effects.
+
+        Two kinds of effects need a kernel of their own. The states of an effect would take time in all refits. An
+        effect that begins at a time in a run is fitted from many such times, so that its own kernel is worth its
+        compilation.
+        """
+        larger, n = model, 0
+        for effect in effects:
+            searched = times_of_change([effect], self.records)
+            if not effect.states and not searched and larger.accepts(effect):
+                larger, n = larger + effect, n + 1
+        if n > 1 and not any(contains(m, larger) for m in self.larger_models):
+            self.larger_models.append(larger)
 
     def _refit_all(
         self,

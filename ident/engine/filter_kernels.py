@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 from weakref import WeakValueDictionary, ref
@@ -69,6 +72,18 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
             _recent.remove(kernels)
         _recent.append(kernels)
         return kernels
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Context without garbage collection, which would search the many small objects of a plan again and again."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 class FilterKernels:
@@ -143,6 +158,11 @@ class FilterKernels:
         """
         return self._kernel("backward")
 
+    @property
+    def has_tangent(self) -> bool:
+        """Whether the kernel `tangent` is in memory already."""
+        return "tangent" in vars(self)
+
     @cached_property
     def tangent(self) -> Kernel:
         """Kernel (program over all rows of a record) of log-likelihood, score and Fisher information.
@@ -202,7 +222,8 @@ class FilterKernels:
             cached = kernel_cache.load_kernel(self._cache_key, name) if self._cache_key else None
             kernel = Kernel.from_cache(*cached, plan) if cached else None
             if kernel is None:
-                kernel = Kernel(plan())
+                with _without_collection():
+                    kernel = Kernel(plan())
                 if self._cache_key:
                     kernel_cache.store_kernel(self._cache_key, name, kernel.layout, kernel.code)
             return kernel

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import Record
-from seatrial.ident.engine import ArenaPool, FilterKernels, Kernel, filter_kernels_for
+from seatrial.ident.engine import ArenaPool, FilterKernels, Kernel, common_model_of, filter_kernels_for
 from seatrial.ident.estimation.prepared_record import InitialCondition, Prepared, Preparer, initial_condition
 from seatrial.ident.model import LIKELY, Model, robust_weight
 from seatrial.ident.numerics import Array
@@ -183,6 +183,50 @@ class FilterResult:
         )
 
 
+@dataclass(frozen=True)
+class _Sensitivities:
+    """Compiled sensitivities for a model, which may be those of a larger model that contains it.
+
+    Attributes
+    ----------
+    kernels : FilterKernels
+        Compiled filter functions of the larger model.
+    without : Array (n_larger,)
+        Values of its parameters at which its further effects change nothing.
+    place : Array (n_parameters,) of int
+        Index, in the larger model, of each parameter of the model.
+    inputs : Array (n_inputs,) of int, optional
+        Index, in the larger model, of each input of the model. None if both have the same inputs.
+    n_inputs : int
+        Number of inputs of the larger model.
+    """
+
+    kernels: FilterKernels
+    without: Array
+    place: NDArray[np.intp]
+    inputs: NDArray[np.intp] | None = None
+    n_inputs: int = 0
+
+    def embedded(self, values: Array) -> Array:
+        """Return the values of all parameters of the larger model, from those (n_parameters,) of the model."""
+        p = self.without.copy()
+        p[self.place] = values
+        return p
+
+    def rows(self, kernel: Kernel, data: Prepared) -> dict[str, Array]:
+        """Return those arrays of a prepared record that a kernel of the larger model reads, by name.
+
+        Inputs that the model lacks are zero: the further effects change nothing, whatever their inputs are.
+        """
+        arrays = _kernel_inputs(kernel, data)
+        if self.inputs is not None:
+            for name in arrays.keys() & {"u", "u_next"}:
+                wide = np.zeros((data.n_rows, self.n_inputs))
+                wide[:, self.inputs] = arrays[name]
+                arrays[name] = wide
+        return arrays
+
+
 class Likelihood:
     """Likelihood of measured records under a model, as a function of the parameter values.
 
@@ -216,15 +260,40 @@ class Likelihood:
         """Compiled filter functions of the model, which all models share that differ only in parameter values."""
         return filter_kernels_for(self.model, covariance=self.process_noise, joseph=self._joseph)
 
+    @cached_property
+    def _sensitivities(self) -> _Sensitivities:
+        """Compiled sensitivities of the model, or of a larger model that contains it (`common_kernels`).
+
+        Those of the model itself are used if they are in memory, or if there is no larger model.
+        """
+        larger = None if self._kernels.has_tangent else common_model_of(self.model)
+        if larger is None:
+            n = len(self._index)
+            return _Sensitivities(self._kernels, np.zeros(n), np.arange(n))
+        kernels = filter_kernels_for(larger, covariance=self.process_noise, joseph=self._joseph)
+        without = np.array([p.value for p in larger.parameters])
+        place = {p.name: k for k, p in enumerate(larger.parameters)}
+        column = {i.name: k for k, i in enumerate(larger.inputs)}
+        inputs = np.array([column[i.name] for i in self.model.inputs], dtype=np.intp)
+        n_inputs = len(larger.inputs)
+        return _Sensitivities(
+            kernels,
+            without,
+            np.array([place[name] for name in self._index]),
+            inputs if n_inputs > inputs.size else None,
+            n_inputs,
+        )
+
     def value(self, record: Record, values: Array) -> float:
         """Return the log-likelihood of a record, including the terms that do not depend on the parameters.
 
         ``values`` (n_parameters,) are all parameters of the model. The result is NaN if the filter diverges.
         """
         data, start = self._prepare_with_initial_state(record, values)
-        kernel = self._kernels.value
+        sensitivities = self._sensitivities
+        kernel = sensitivities.kernels.value
         with self._arenas.borrow() as arena:
-            arrays = {**_kernel_inputs(kernel, data), "p": _contiguous_doubles(values), "s": start.s}
+            arrays = {**sensitivities.rows(kernel, data), "p": sensitivities.embedded(values), "s": start.s}
             done = kernel(data.n_rows, data.mask, arrays, arena=arena)
             return float(done["ll"][0])
 
@@ -295,10 +364,10 @@ class Likelihood:
         free = self.model.free if free is None else free
         data, start = self._prepare_with_initial_state(record, values)
         if not double:
-            found, accurate = self._forward_sensitivities(data, start, values, free, by_row, self._kernels.tangent)
+            found, accurate = self._forward_sensitivities(data, start, values, free, by_row)
             if accurate or np.isnan(found.value):
                 return found
-        return self._forward_sensitivities(data, start, values, free, by_row, self._kernels.tangent_double)[0]
+        return self._forward_sensitivities(data, start, values, free, by_row, double=True)[0]
 
     def _forward_sensitivities(
         self,
@@ -307,12 +376,14 @@ class Likelihood:
         values: Array,
         free: Sequence[str],
         by_row: bool,
-        kernel: Kernel,
+        double: bool = False,
     ) -> tuple[LikelihoodAndScore, bool]:
-        """Run a kernel of forward sensitivities on a prepared record, and return the result of `scores`.
+        """Run the kernel of forward sensitivities on a prepared record, and return the result of `scores`.
 
         The second value is False if the kernel's precision may not suffice. ``start`` is not changed.
         """
+        sensitivities = self._sensitivities
+        kernel = sensitivities.kernels.tangent_double if double else sensitivities.kernels.tangent
         chosen = [self._index[name] for name in free]
         groups, width, n = kernel.groups(len(free)), kernel.layout.width, len(free)
         lane_of = {parameter: lane for lane, parameter in enumerate(chosen)}
@@ -323,11 +394,11 @@ class Likelihood:
                     lane = lane_of[parameter]
                     ds[lane // width, entry, lane % width] += slope
             arrays = {
-                **_kernel_inputs(kernel, data),
-                "p": _contiguous_doubles(values),
+                **sensitivities.rows(kernel, data),
+                "p": sensitivities.embedded(values),
                 "s": start.s.copy(),
                 "ds": ds,
-                "dp": kernel.seeds(len(self._index), chosen, groups),
+                "dp": kernel.seeds(sensitivities.without.size, sensitivities.place[chosen].tolist(), groups),
             }
             done = kernel(
                 data.n_rows, data.mask, arrays, groups=groups, arena=arena, per_row={"dll"} if by_row else frozenset()
@@ -348,10 +419,10 @@ class Likelihood:
         nothing is compiled after a search. The result is not finite from the row on in which the filter diverges.
         """
         data, start = self._prepare_with_initial_state(record, values)
-        kernel = self._kernels.tangent
+        kernel = self._sensitivities.kernels.tangent
         with self._arenas.borrow() as arena:
-            arrays = {**_kernel_inputs(kernel, data), "p": _contiguous_doubles(values), "s": start.s}
-            done = kernel(data.n_rows, data.mask, arrays, arena=arena, per_row={"ll"})
+            rows, p = self._sensitivities.rows(kernel, data), self._sensitivities.embedded(values)
+            done = kernel(data.n_rows, data.mask, {**rows, "p": p, "s": start.s}, arena=arena, per_row={"ll"})
             return done["ll"][:, 0].copy()
 
     def filter(self, record: Record, values: Array) -> FilterResult:

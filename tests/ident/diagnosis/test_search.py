@@ -66,6 +66,11 @@ def blank(**more: Any) -> Any:
     return cast(Any, type("FakeFit", (), {"fit": None, **more})())
 
 
+def fitted_boat() -> Any:
+    """Return a stand-in for a fitted model that has only a fit with a model."""
+    return blank(fit=SimpleNamespace(model=with_disturbances(horizontal_model("shaft"))))
+
+
 def a_search(*candidates: Effect) -> _Search:
     return _Search([], [], {e.name: e for e in candidates}, QUIET)
 
@@ -222,7 +227,7 @@ def test_candidate_with_a_negative_score_criterion_is_still_refitted(monkeypatch
     alone.n = 5000
     score = Score("compass", 28.0, 4, 20.0, {}, {})
     assert score.criterion(alone.n) < 0
-    alone._run_round(blank(), [score], [score])
+    alone._run_round(fitted_boat(), [score], [score])
     assert tried == ["compass"]
 
 
@@ -640,7 +645,7 @@ def test_a_candidate_that_failed_before_is_refitted_last(
     monkeypatch.setattr(search, "is_accepted", lambda r, _policy: r.effect.name in accepted)
     monkeypatch.setattr(mine, "_choose_refit", lambda _current, refits, _untested: (refits, None))
     passed = [Score(n, 300.0 - k, 1, 50.0, {}, {}, threshold=12.0) for k, n in enumerate(names)]
-    mine._run_round(blank(), passed, passed)
+    mine._run_round(fitted_boat(), passed, passed)
     assert done == batches
 
 
@@ -662,7 +667,7 @@ def test_a_candidate_that_cannot_win_any_more_is_not_refitted(
     monkeypatch.setattr(search, "is_accepted", lambda _r, _policy: accepted)
     monkeypatch.setattr(mine, "_choose_refit", lambda _current, refits, _untested: (refits, None))
     passed = [Score(n, lm, 1, 50.0, {}, {}, threshold=12.0) for n, lm in lms.items()]
-    mine._run_round(blank(), passed, passed)
+    mine._run_round(fitted_boat(), passed, passed)
     assert done == ["motor", "wind", *more]
 
 
@@ -1280,3 +1285,17 @@ def test_unusable_validation_log_is_listed_and_the_search_continues() -> None:
     assert "overlap" in found.failed_runs[1].reason
     assert [r.effect.name for r in found.effects] == ["mismatch"]
     assert len(found.after.validation) == 1
+
+
+def test_refits_with_effects_without_states_share_a_kernel() -> None:
+    model, known = with_disturbances(horizontal_model("shaft")), catalogue()
+    search = _Search([], [], {}, QUIET)
+    search._share_kernels(model, [known["mismatch"], known["sway-slosh"], known["leak"], known["yaw-bias"]])
+    (larger,) = search.larger_models
+    # The states of the slosh would take time in all refits.
+    assert [e.name for e in larger.effects[len(model.effects) :]] == ["mismatch", "leak", "yaw-bias"]
+    search._share_kernels(model, [known["mismatch"], known["yaw-bias"]])  # this kernel serves them already
+    search._share_kernels(model, [known["wind"]])  # one effect needs no larger model
+    assert search.larger_models == [larger]
+    search._share_kernels(model + known["mismatch"], [known["leak"], known["wind"]])
+    assert len(search.larger_models) == 2
