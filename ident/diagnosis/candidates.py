@@ -29,9 +29,9 @@ from seatrial.ident.diagnosis.score_test import (
     propagate_sensitivities,
     whole_blocks,
 )
-from seatrial.ident.effects import FORCES, WAVES, harmonics, input_response_effects
+from seatrial.ident.effects import WAVES, harmonics, input_response_effects
 from seatrial.ident.engine import VectorisedModel, vectorised
-from seatrial.ident.estimation import FittedModel, RecordEvaluation
+from seatrial.ident.estimation import FittedModel, wave_peak, wave_sizes
 from seatrial.ident.model import (
     DisturbanceChannel,
     Effect,
@@ -42,13 +42,11 @@ from seatrial.ident.model import (
     RecordedEvaluation,
     curve_name,
 )
-from seatrial.ident.models import products_of, residuals_of, sensor_errors_of, size_of, thrust_losses_of, variables_of
+from seatrial.ident.models import products_of, residuals_of, sensor_errors_of, thrust_losses_of, variables_of
 from seatrial.ident.numerics import Array, chi2_isf, wrap
-from seatrial.ident.validation import SpectralPeak, spectral_peak
 
 SMALLEST_P = 1e-300  # smaller p values have no finite chi-squared quantile
 TERMS = 14  # of the series of a matrix exponential, for a norm of at most one half
-INITIAL_WAVE_SIZE = 0.4  # initial wave forces of the refit, relative to typical wave forces
 
 
 class TrajectoryLinearisation:
@@ -715,51 +713,10 @@ def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) 
     Score or None
         None if no peak in the band of waves is significant (``policy.max_peak_p``), or if no channel can be searched.
     """
-    peaks = [
-        peak
-        for view in fitted.estimation
-        for peak in _spectral_peaks(fitted.model, view, policy.max_wave_sample_interval)
-    ]
-    low, high = next(p.bounds for p in WAVES.parameters if p.name == "f_wave")
-    # resampled channels have a peak at 5 Hz, which is outside the band of waves
-    best = min((peak for peak in peaks if low <= peak.frequency <= high), key=lambda peak: peak.p, default=None)
-    if best is None or best.p * len(peaks) > policy.max_peak_p:
+    runs = [view.run for view in fitted.estimation]
+    best = wave_peak(fitted.model, runs, policy.max_peak_p, policy.max_wave_sample_interval)
+    if best is None:
         return None
     df = len(WAVES.parameters)
-    lm = float(chi2_isf(max(best.p * len(peaks), SMALLEST_P), df))
-    size = size_of(fitted.model)
-    step = {f"A_{force}": INITIAL_WAVE_SIZE * usual * size.of(unit) for force, (unit, usual) in FORCES.items()}
-    return Score(WAVES.name, lm, df, lm, step, {"f_wave": best.frequency})
-
-
-def _spectral_peaks(model: Model, evaluation: RecordEvaluation, max_interval: float) -> list[SpectralPeak]:
-    """Return the spectral peaks of the innovations of a record, at most one for each sample interval.
-
-    Only velocities, rates and accelerations are searched (outputs whose unit has "/s"). Outputs with the same median
-    sample interval are searched together. Outputs slower than ``max_interval`` [s], or with fewer than three samples,
-    are left out.
-    """
-    by_step: dict[float, dict[str, Array]] = {}
-    for j, output in enumerate(model.outputs):
-        measured = np.isfinite(evaluation.run.standardised[:, j])
-        if "/s" in output.unit and measured.sum() > 2:
-            t = evaluation.record.t[measured]
-            step = round(float(np.median(np.diff(t))), 4)
-            if 0.0 < step <= max_interval:
-                by_step.setdefault(step, {})[output.name] = _on_regular_grid(
-                    t, evaluation.run.standardised[measured, j], step
-                )
-    peaks = [spectral_peak(channels, step) for step, channels in by_step.items()]
-    return [peak for peak in peaks if peak is not None]
-
-
-def _on_regular_grid(t: Array, e: Array, step: float) -> Array:
-    """Return samples e (n,) at times t (n,) [s] on a regular grid of times with this step [s]; missing samples are NaN.
-
-    The grid begins at the first time. Each sample goes to the nearest grid time; the last of several at one time is
-    used.
-    """
-    at = np.round((t - t[0]) / step).astype(int)
-    grid = np.full(at[-1] + 1, np.nan)
-    grid[at] = e
-    return grid
+    lm = float(chi2_isf(max(best.p, SMALLEST_P), df))
+    return Score(WAVES.name, lm, df, lm, wave_sizes(fitted.model), {"f_wave": best.frequency})

@@ -27,7 +27,7 @@ class SearchPolicy:
         validation data decide later.
     max_peak_p
         Largest p value, times the number of peaks, of a spectral peak of the innovations that is tested as waves.
-        Coloured innovations without waves have larger p values (tests/ident/diagnosis/test_spectral_peak.py).
+        Coloured innovations without waves have larger p values (tests/ident/numerics/test_spectral_peak.py).
     max_wave_sample_interval
         Longest sample interval [s] of a channel that is searched for waves. Slower channels do not resolve waves.
     n_refits

@@ -109,3 +109,5 @@ from .thrust_scale import model_values as model_values
 from .thrust_scale import prior_distances as prior_distances
 from .thrust_scale import reported_units as reported_units
 from .thrust_scale import thrust_scale_of as thrust_scale_of
+from .wave_peak import wave_peak as wave_peak
+from .wave_peak import wave_sizes as wave_sizes

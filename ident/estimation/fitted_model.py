@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,8 +19,9 @@ from seatrial.ident.data import LogSegment, Record, make_record
 from seatrial.ident.estimation.cross_validation import TimeBlocks, leave_one_block_out, time_blocks
 from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, SearchSettings, fit
-from seatrial.ident.estimation.multistart import best_of_starts
+from seatrial.ident.estimation.multistart import MIN_GAIN, best_of_starts
 from seatrial.ident.estimation.smoother import SmoothedStates, smoothed_states
+from seatrial.ident.estimation.wave_peak import other_wave_start
 from seatrial.ident.model import Effect, EffectKind, Model, Parameter, ParameterOrigin, outlier_notes, segment_name
 from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import forces_of, rescale, rescale_effects, residuals_of, size_of, with_disturbances
@@ -188,6 +190,12 @@ def fit_nominal_model(
     validation_data = without_unknown_noise(full, records, validation_data)
     full = without_absent_sensors(full, records)
     fitted = fit_with_rescaling(full, records, validation_data, options, settings, start, reporter.detail)
+    if missed := other_wave_start(fitted.fit.model, [view.run for view in fitted.estimation]):
+        reporter.progress(f"fitting {full.name} again: waves of {missed['f_wave']:.2g} Hz are left in its residuals")
+        again = {**(start or {}), **missed}
+        with contextlib.suppress(*FIT_ERRORS):
+            other = fit_with_rescaling(full, records, validation_data, options, settings, again, reporter.detail)
+            fitted = other if other.fit.log_posterior > fitted.fit.log_posterior + MIN_GAIN else fitted
     return replace(fitted, failed=(*failed, *fitted.failed))
 
 

@@ -49,3 +49,5 @@ from .signal_processing import rounding_step as rounding_step
 from .signal_processing import steady_segments as steady_segments
 from .signal_processing import welch_spectrum as welch_spectrum
 from .signal_processing import wrap as wrap
+from .spectral_peak import SpectralPeak as SpectralPeak
+from .spectral_peak import spectral_peak as spectral_peak

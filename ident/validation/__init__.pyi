@@ -31,9 +31,7 @@ from .prediction_errors import prediction_change_by_record as prediction_change_
 from .prediction_errors import simulation_run as simulation_run
 from .prediction_errors import without_spans as without_spans
 from .whiteness import OUTLIER_SDS as OUTLIER_SDS
-from .whiteness import SpectralPeak as SpectralPeak
 from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics
 from .whiteness import autocorrelation as autocorrelation
 from .whiteness import ljung_box as ljung_box
-from .whiteness import spectral_peak as spectral_peak
 from .whiteness import whiteness_diagnostics as whiteness_diagnostics

@@ -3,7 +3,7 @@
 Each force is the output of a second-order filter driven by white noise (linear approximation of the wave spectrum,
 Fossen 2011, section 8.2). The size A of a force is a standard deviation. The likelihood is therefore an even function
 of A, and its score at zero vanishes. A score test cannot detect waves. Waves are detected as a peak in the spectrum of
-the innovations (``seatrial.ident.validation.whiteness.spectral_peak``). The refit starts at the frequency of the peak
+the innovations (``seatrial.ident.numerics.spectral_peak``). The refit starts at the frequency of the peak
 (``seatrial.ident.diagnosis.candidates.wave_peak_score``).
 """
 

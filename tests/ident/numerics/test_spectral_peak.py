@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from seatrial.ident.validation.whiteness import spectral_peak
+from seatrial.ident.numerics.spectral_peak import spectral_peak
 
 DT = 0.1
 SURE = 1e-6
