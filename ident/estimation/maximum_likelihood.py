@@ -12,13 +12,15 @@ import numpy as np
 
 from seatrial.daq.errors import counted
 from seatrial.ident.data import Record
-from seatrial.ident.estimation.fisher_scoring import Iterations, Optimum, Problem, maximise, refine_lbfgsb
+from seatrial.ident.estimation.fisher_scoring import Bounds, Iterations, Optimum, Problem, maximise, refine_lbfgsb
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.output_error import with_free_initial_states
 from seatrial.ident.estimation.restricted_likelihood import apply_reml
 from seatrial.ident.estimation.standard_errors import (
     AUTOCORRELATED_TOO_LONG,
     COLOURED_P_VALUE,
+    FLAGGED_INFLATION,
+    Z_95,
     Sandwich,
     Uncertainty,
     assess,
@@ -141,6 +143,8 @@ ROUGH_SEARCH = SearchSettings(tolerance=0.02, robust_errors=False)
 # a standard error, the fit counts as converged, but its results say so. The tolerance of the settings may be larger.
 MAX_GAIN_LEFT = 1e-2
 LARGEST_GAIN_LEFT = 0.125
+# For the fit with a dead zone at its bound: iterations, and the least fall of the log-posterior that counts
+AT_BOUND_ITERATIONS, LEAST_FALL = 8, 0.125
 
 
 def distance_from_maximum(gain: float) -> float:
@@ -437,7 +441,42 @@ def _assess_uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -
     for p in flat:
         # the interval of a flat coordinate does not come from contributions of rows
         robust.errors[p.coordinate] = robust.least[p.coordinate] = known.errors[p.coordinate]
-    return known, robust
+    return _widened_to_bound(problem, optimum, known) if with_robust else known, robust
+
+
+def _widened_to_bound(problem: Problem, optimum: Optimum, known: Uncertainty) -> Uncertainty:
+    """Widen the standard error of a dead zone if the likelihood falls less down to zero than this error says.
+
+    It concerns a parameter whose likelihood may have several maxima (``Model.start_grid`` with ``gaining``), with a
+    lower bound that is more than 1.96 standard errors away. The likelihood has an edge at each command, so that the
+    curvature at the estimate may be that of one edge. The model is fitted again with the parameter at the bound; the
+    new error is that of a parabola with the same fall of the log-posterior.
+    """
+    grid, z = problem.model.start_grid, optimum.z
+    if grid is None or not grid.gaining or grid.names[0] not in problem.names:
+        return known
+    i, bounds = problem.names.index(grid.names[0]), problem.bounds
+    distance = float(z[i] - bounds.low[i])
+    if bounds.logarithmic[i] or not np.isfinite(distance) or not distance > Z_95 * known.errors[i]:
+        return known
+    high, start = bounds.high.copy(), z - np.nan_to_num(known.P[:, i]) / known.P[i, i] * distance
+    high[i] = start[i] = bounds.low[i]
+    held = Bounds(bounds.low, high, bounds.logarithmic)
+    at_bound = maximise(
+        problem.evaluate, held.clip(start), held, max_iterations=AT_BOUND_ITERATIONS, tolerance=0.1, value=problem.value
+    )
+    fall = max(optimum.at.value - at_bound.at.value, LEAST_FALL)
+    error = distance / np.sqrt(2.0 * fall)
+    if not error > FLAGGED_INFLATION * known.errors[i]:
+        return known
+    errors = np.full(z.size, np.nan)
+    errors[i] = error
+    text = (
+        f"its error is {error / known.errors[i]:.1f} times as large as from the curvature: with "
+        f"{problem.names[i]} = {bounds.low[i]:g} the log-likelihood is only {fall:.1f} smaller"
+    )
+    wider = widened(known, errors)
+    return replace(wider, flags=(*wider.flags, (problem.names[i], Flag("larger error", text))))
 
 
 def considered_information(problem: Problem, z: Array) -> Array:

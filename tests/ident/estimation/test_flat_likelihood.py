@@ -4,13 +4,19 @@ off.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from seatrial.ident.estimation import fisher_scoring
-from seatrial.ident.estimation.maximum_likelihood import MAX_GAIN_LEFT
-from seatrial.ident.estimation.standard_errors import flat_coordinates
+from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation, Optimum
+from seatrial.ident.estimation.maximum_likelihood import MAX_GAIN_LEFT, _widened_to_bound
+from seatrial.ident.estimation.standard_errors import assess, flat_coordinates
 from seatrial.ident.model.parameter import INF, Parameter
+from seatrial.ident.model.structure import StartGrid
 from tests.ident.stepped import steps
 
 FREE = fisher_scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.zeros(2, dtype=bool))
@@ -120,3 +126,57 @@ def test_search_avoids_the_region_of_a_diverging_simulation() -> None:
     bounds = fisher_scoring.Bounds(np.full(1, -INF), np.full(1, INF), np.zeros(1, dtype=bool))
     top = fisher_scoring.maximise(running_away, np.array([-4.0]), bounds, max_iterations=60, tolerance=1e-10)
     assert top.z[0] == pytest.approx(1.0, abs=1e-4)
+
+
+def edged(depth: float) -> Any:
+    """Return a stand-in for the objective of a fit: a dead zone d with a sharp maximum at 0.15, and a gain k.
+
+    The objective falls by ``depth`` from the maximum to the values far from it. The gain follows the dead zone.
+    """
+
+    def evaluate(z: np.ndarray) -> Evaluation:
+        d, k = z
+        near = np.exp(-0.5 * ((d - 0.15) / 0.02) ** 2)
+        off = (k - 2.0 - 5.0 * (d - 0.15)) / 0.1
+        value = depth * (near - 1.0) - 0.5 * off**2
+        gradient = np.array([-depth * near * (d - 0.15) / 0.02**2 + off * 50.0, -off / 0.1])
+        follow = np.array([-50.0, 10.0])
+        return Evaluation(value, gradient, np.diag([depth / 0.02**2, 0.0]) + np.outer(follow, follow), np.zeros(2))
+
+    grid = StartGrid(("d",), ((0.0, 0.15),), 0.03, gaining=True)
+    bounds = Bounds(np.array([0.0, -np.inf]), np.array([0.5, np.inf]), np.zeros(2, dtype=bool))
+    return SimpleNamespace(
+        model=SimpleNamespace(start_grid=grid), names=("d", "k"), bounds=bounds, evaluate=evaluate,
+        value=lambda z: evaluate(z).value,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("depth", [2.0, 40.0])
+def test_error_of_a_dead_zone_is_not_that_of_one_edge(depth: float) -> None:
+    problem, z = edged(depth), np.array([0.15, 2.0])
+    at = problem.evaluate(z)
+    optimum = Optimum(z, at, 0, 0, 0.0)
+    known = assess(at, z, problem.bounds, problem.names, np.ones(2), np.zeros(2))
+    assert known.errors[0] == pytest.approx(0.02 / np.sqrt(depth))
+    wider = _widened_to_bound(problem, optimum, known)
+    assert wider.errors[0] == pytest.approx(0.15 / np.sqrt(2.0 * depth), rel=0.02)
+    factor = wider.errors[0] / known.errors[0]
+    assert wider.covariance[0, 1] == pytest.approx(known.covariance[0, 1] * factor)
+    assert wider.errors[1] == known.errors[1]
+    ((name, flag),) = [f for f in wider.flags if f[1].code == "larger error"]
+    assert name == "d"
+    assert f"with d = 0 the log-likelihood is only {depth:.1f} smaller" in str(flag)
+
+
+def test_error_of_a_dead_zone_with_the_likelihood_of_a_parabola_is_kept() -> None:
+    problem, z = edged(2.0), np.array([0.15, 2.0])
+    grid = problem.model.start_grid
+    known = assess(problem.evaluate(z), z, problem.bounds, problem.names, np.ones(2), np.zeros(2))
+    optimum = Optimum(z, problem.evaluate(z), 0, 0, 0.0)
+    problem.model.start_grid = replace(grid, gaining=False)
+    assert _widened_to_bound(problem, optimum, known) is known
+    problem.model.start_grid = replace(grid, names=("other",))
+    assert _widened_to_bound(problem, optimum, known) is known
+    problem.model.start_grid = grid
+    near = replace(known, errors=np.array([0.1, 0.1]))  # the bound is within the interval of the error
+    assert _widened_to_bound(problem, optimum, near) is near
