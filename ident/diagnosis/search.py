@@ -82,7 +82,7 @@ from seatrial.ident.diagnosis.score_test import (
     score_threshold,
 )
 from seatrial.ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
-from seatrial.ident.engine import common_kernels, contains, quick_compilation
+from seatrial.ident.engine import LargerModel, common_kernels, quick_compilation
 from seatrial.ident.estimation import (
     AT_BOUND,
     FIT_ERRORS,
@@ -797,7 +797,7 @@ class _Search:
         self.removed: list[RemovedEffect] = []  # by the backward eliminations so far
         self._tested: list[_TestedModel] = []
         self._possible_rounds = 1  # with the present one
-        self.larger_models: list[Model] = []
+        self.larger_models: list[LargerModel] = []
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
@@ -1558,13 +1558,17 @@ class _Search:
         effect that begins at a time in a run is fitted from many such times, so that its own kernel is worth its
         compilation.
         """
-        larger, n = model, 0
+        added = [r.chosen.effect for r in self.rounds if r.chosen is not None]
+        null = [e for e in added if not e.states]
+        # The effects found are left out in later fits. They change nothing at their own values.
+        values = {p.name: p.value for e in null for p in e.parameters}
+        larger = model.with_values({name: value for name, value in values.items() if name in model.values})
         for effect in effects:
             searched = times_of_change([effect], self.records)
             if not effect.states and not searched and larger.accepts(effect):
-                larger, n = larger + effect, n + 1
-        if n > 1 and not any(contains(m, larger) for m in self.larger_models):
-            self.larger_models.append(larger)
+                larger, null = larger + effect, [*null, effect]
+        if len(larger.effects) > len(model.effects) + 1 and not any(m.contains(larger) for m in self.larger_models):
+            self.larger_models.append(LargerModel(larger, frozenset(e.name for e in null)))
 
     def _refit_all(
         self,

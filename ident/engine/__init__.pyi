@@ -1,9 +1,9 @@
 from .batched_experiments import batch_for as batch_for
 from .batched_experiments import discrimination_batch_for as discrimination_batch_for
 from .batched_experiments import extremes as extremes
+from .common_kernels import LargerModel as LargerModel
 from .common_kernels import common_kernels as common_kernels
 from .common_kernels import common_model_of as common_model_of
-from .common_kernels import contains as contains
 from .ekf_graph import EkfGraphs as EkfGraphs
 from .filter_kernels import FilterKernels as FilterKernels
 from .filter_kernels import filter_kernels_for as filter_kernels_for

@@ -158,10 +158,9 @@ class FilterKernels:
         """
         return self._kernel("backward")
 
-    @property
-    def has_tangent(self) -> bool:
-        """Whether the kernel `tangent` is in memory already."""
-        return "tangent" in vars(self)
+    def has(self, name: str) -> bool:
+        """Return whether the kernel with this name (``tangent``, ``simulate``, ...) is in memory already."""
+        return name in vars(self)
 
     @cached_property
     def tangent(self) -> Kernel:

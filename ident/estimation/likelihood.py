@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import Record
-from seatrial.ident.engine import ArenaPool, FilterKernels, Kernel, common_model_of, filter_kernels_for
+from seatrial.ident.engine import ArenaPool, FilterKernels, Kernel, filter_kernels_for
+from seatrial.ident.estimation.model_kernels import ModelKernels, model_kernels
 from seatrial.ident.estimation.prepared_record import InitialCondition, Prepared, Preparer, initial_condition
 from seatrial.ident.model import LIKELY, Model, robust_weight
 from seatrial.ident.numerics import Array
@@ -183,50 +184,6 @@ class FilterResult:
         )
 
 
-@dataclass(frozen=True)
-class _Sensitivities:
-    """Compiled sensitivities for a model, which may be those of a larger model that contains it.
-
-    Attributes
-    ----------
-    kernels : FilterKernels
-        Compiled filter functions of the larger model.
-    without : Array (n_larger,)
-        Values of its parameters at which its further effects change nothing.
-    place : Array (n_parameters,) of int
-        Index, in the larger model, of each parameter of the model.
-    inputs : Array (n_inputs,) of int, optional
-        Index, in the larger model, of each input of the model. None if both have the same inputs.
-    n_inputs : int
-        Number of inputs of the larger model.
-    """
-
-    kernels: FilterKernels
-    without: Array
-    place: NDArray[np.intp]
-    inputs: NDArray[np.intp] | None = None
-    n_inputs: int = 0
-
-    def embedded(self, values: Array) -> Array:
-        """Return the values of all parameters of the larger model, from those (n_parameters,) of the model."""
-        p = self.without.copy()
-        p[self.place] = values
-        return p
-
-    def rows(self, kernel: Kernel, data: Prepared) -> dict[str, Array]:
-        """Return those arrays of a prepared record that a kernel of the larger model reads, by name.
-
-        Inputs that the model lacks are zero: the further effects change nothing, whatever their inputs are.
-        """
-        arrays = _kernel_inputs(kernel, data)
-        if self.inputs is not None:
-            for name in arrays.keys() & {"u", "u_next"}:
-                wide = np.zeros((data.n_rows, self.n_inputs))
-                wide[:, self.inputs] = arrays[name]
-                arrays[name] = wide
-        return arrays
-
-
 class Likelihood:
     """Likelihood of measured records under a model, as a function of the parameter values.
 
@@ -261,28 +218,9 @@ class Likelihood:
         return filter_kernels_for(self.model, covariance=self.process_noise, joseph=self._joseph)
 
     @cached_property
-    def _sensitivities(self) -> _Sensitivities:
-        """Compiled sensitivities of the model, or of a larger model that contains it (`common_kernels`).
-
-        Those of the model itself are used if they are in memory, or if there is no larger model.
-        """
-        larger = None if self._kernels.has_tangent else common_model_of(self.model)
-        if larger is None:
-            n = len(self._index)
-            return _Sensitivities(self._kernels, np.zeros(n), np.arange(n))
-        kernels = filter_kernels_for(larger, covariance=self.process_noise, joseph=self._joseph)
-        without = np.array([p.value for p in larger.parameters])
-        place = {p.name: k for k, p in enumerate(larger.parameters)}
-        column = {i.name: k for k, i in enumerate(larger.inputs)}
-        inputs = np.array([column[i.name] for i in self.model.inputs], dtype=np.intp)
-        n_inputs = len(larger.inputs)
-        return _Sensitivities(
-            kernels,
-            without,
-            np.array([place[name] for name in self._index]),
-            inputs if n_inputs > inputs.size else None,
-            n_inputs,
-        )
+    def _common(self) -> ModelKernels:
+        """Compiled filter functions of the model, or of a larger model that contains it (`common_kernels`)."""
+        return model_kernels(self.model, covariance=self.process_noise, joseph=self._joseph)
 
     def value(self, record: Record, values: Array) -> float:
         """Return the log-likelihood of a record, including the terms that do not depend on the parameters.
@@ -290,10 +228,9 @@ class Likelihood:
         ``values`` (n_parameters,) are all parameters of the model. The result is NaN if the filter diverges.
         """
         data, start = self._prepare_with_initial_state(record, values)
-        sensitivities = self._sensitivities
-        kernel = sensitivities.kernels.value
+        kernel = self._common.kernels.value
         with self._arenas.borrow() as arena:
-            arrays = {**sensitivities.rows(kernel, data), "p": sensitivities.embedded(values), "s": start.s}
+            arrays = {**self._common.arrays(kernel, data, values), "s": start.s}
             done = kernel(data.n_rows, data.mask, arrays, arena=arena)
             return float(done["ll"][0])
 
@@ -382,8 +319,8 @@ class Likelihood:
 
         The second value is False if the kernel's precision may not suffice. ``start`` is not changed.
         """
-        sensitivities = self._sensitivities
-        kernel = sensitivities.kernels.tangent_double if double else sensitivities.kernels.tangent
+        common = self._common
+        kernel = common.kernels.tangent_double if double else common.kernels.tangent
         chosen = [self._index[name] for name in free]
         groups, width, n = kernel.groups(len(free)), kernel.layout.width, len(free)
         lane_of = {parameter: lane for lane, parameter in enumerate(chosen)}
@@ -394,11 +331,10 @@ class Likelihood:
                     lane = lane_of[parameter]
                     ds[lane // width, entry, lane % width] += slope
             arrays = {
-                **sensitivities.rows(kernel, data),
-                "p": sensitivities.embedded(values),
+                **common.arrays(kernel, data, values),
                 "s": start.s.copy(),
                 "ds": ds,
-                "dp": kernel.seeds(sensitivities.without.size, sensitivities.place[chosen].tolist(), groups),
+                "dp": kernel.seeds(common.without.size, common.place[chosen].tolist(), groups),
             }
             done = kernel(
                 data.n_rows, data.mask, arrays, groups=groups, arena=arena, per_row={"dll"} if by_row else frozenset()
@@ -419,10 +355,10 @@ class Likelihood:
         nothing is compiled after a search. The result is not finite from the row on in which the filter diverges.
         """
         data, start = self._prepare_with_initial_state(record, values)
-        kernel = self._sensitivities.kernels.tangent
+        kernel = self._common.kernels.tangent
         with self._arenas.borrow() as arena:
-            rows, p = self._sensitivities.rows(kernel, data), self._sensitivities.embedded(values)
-            done = kernel(data.n_rows, data.mask, {**rows, "p": p, "s": start.s}, arena=arena, per_row={"ll"})
+            arrays = {**self._common.arrays(kernel, data, values), "s": start.s}
+            done = kernel(data.n_rows, data.mask, arrays, arena=arena, per_row={"ll"})
             return done["ll"][:, 0].copy()
 
     def filter(self, record: Record, values: Array) -> FilterResult:
@@ -442,7 +378,7 @@ class Likelihood:
                 "seatrial.ident.estimation.output_error instead"
             )
         data, start = self._prepare_with_initial_state(record, values)
-        kernel, n, n_rows, p = self._kernels.filter, len(self.model.states), data.n_rows, _contiguous_doubles(values)
+        kernel, n, n_rows, p = self._common.kernels.filter, len(self.model.states), data.n_rows, values
         outputs, pieces = len(self.model.outputs), _row_pieces(data.n_rows)
 
         def run(rows: slice, s: Array) -> dict[str, Array]:
@@ -452,7 +388,7 @@ class Likelihood:
                 for bit, sensor in enumerate(self.model.sensors)
                 for kind in "eS"
             }
-            arrays = {**_kernel_inputs(kernel, data, rows), "p": p, "s": s, **sensor_arrays}
+            arrays = {**self._common.arrays(kernel, data, p, rows), "s": s, **sensor_arrays}
             return kernel(rows.stop - rows.start, data.mask[rows], arrays, per_row={"ll"})
 
         x_pred, x_filt = np.empty((2, n_rows, n))
@@ -510,16 +446,16 @@ class Likelihood:
         covariances : Array (n, n_states, n_states)
             Covariances of these rows, with the process noise. The first one is ``P``.
         """
-        data, kernel, n = self._prepare(record), self._kernels.filter, len(self.model.states)
+        data, kernel, n = self._prepare(record), self._common.kernels.filter, len(self.model.states)
         n_rows = last + 1 - first
-        rows = {name: a[first : last + 1] for name, a in _kernel_inputs(kernel, data).items()}
+        rows = self._common.arrays(kernel, data, values, slice(first, last + 1))
         rows |= {
             f"{kind}{bit}": np.full((n_rows, len(sensor.outputs)), np.nan)
             for bit, sensor in enumerate(self.model.sensors)
             for kind in "eS"
         }
         s = np.append(x, P[np.triu_indices(n)])
-        done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"p": _contiguous_doubles(values), "s": s})
+        done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"s": s})
         return done["predicted"][:, :n].copy(), _covariance_matrices(done["predicted"], n)
 
     def measured(self, record: Record) -> int:

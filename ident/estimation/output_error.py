@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import Record
-from seatrial.ident.engine import Kernel, filter_kernels_for
 from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.model_kernels import model_kernels
 from seatrial.ident.estimation.prepared_record import Preparer, initial_condition
 from seatrial.ident.model import Model, Parameter, segment_name
 from seatrial.ident.numerics import Array
-
-INPUTS = ("u", "u_next", "h")  # arrays of a record that a simulation uses
 
 
 @dataclass(frozen=True)
@@ -160,8 +158,10 @@ def simulate(
     values = _values_or_default(model, values)
     data = (preparer or Preparer(model))(record)
     start = initial_condition(model, values, data, covariance=False).s if x0 is None else x0
-    arrays = {n: data.rows[n] for n in INPUTS} | {"p": values, "s": np.array(start, dtype=np.float64)}
-    done = _simulation_kernel(model)(data.n_rows, None, arrays)
+    common = model_kernels(model, covariance=False)
+    kernel = common.kernels.simulate
+    arrays = common.arrays(kernel, data, values) | {"s": np.array(start, dtype=np.float64)}
+    done = kernel(data.n_rows, None, arrays)
     return SimulatedTrajectory(record.t, done["x"], done["z"])
 
 
@@ -191,15 +191,11 @@ def predict_ahead(
         Predictions at the n end rows, in the order of ``end``; not finite if a prediction diverges. For ``start ==
         end`` they are the given state and its outputs.
     """
-    data, kernel = Preparer(model)(record), _simulation_kernel(model)
-    arrays = {n: data.rows[n] for n in INPUTS} | {"p": _values_or_default(model, values)}
+    data, common = Preparer(model)(record), model_kernels(model, covariance=False)
+    kernel = common.kernels.simulate
+    arrays = common.arrays(kernel, data, _values_or_default(model, values))
     done = kernel.segments(start.tolist(), (end + 1).tolist(), arrays, states[start], ("z", "x"))
     return SimulatedTrajectory(record.t[end], done["x"], done["z"])
-
-
-def _simulation_kernel(model: Model) -> Kernel:
-    """Return the compiled function that simulates the model without process noise. It is compiled on first use."""
-    return filter_kernels_for(model, covariance=False).simulate
 
 
 def _values_or_default(model: Model, values: Array | None) -> Array:

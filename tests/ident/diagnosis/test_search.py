@@ -1289,13 +1289,26 @@ def test_unusable_validation_log_is_listed_and_the_search_continues() -> None:
 
 def test_refits_with_effects_without_states_share_a_kernel() -> None:
     model, known = with_disturbances(horizontal_model("shaft")), catalogue()
-    search = _Search([], [], {}, QUIET)
-    search._share_kernels(model, [known["mismatch"], known["sway-slosh"], known["leak"], known["yaw-bias"]])
-    (larger,) = search.larger_models
+    mine = a_search()
+    mine._share_kernels(model, [known["mismatch"], known["sway-slosh"], known["leak"], known["yaw-bias"]])
+    (larger,) = mine.larger_models
     # The states of the slosh would take time in all refits.
-    assert [e.name for e in larger.effects[len(model.effects) :]] == ["mismatch", "leak", "yaw-bias"]
-    search._share_kernels(model, [known["mismatch"], known["yaw-bias"]])  # this kernel serves them already
-    search._share_kernels(model, [known["wind"]])  # one effect needs no larger model
-    assert search.larger_models == [larger]
-    search._share_kernels(model + known["mismatch"], [known["leak"], known["wind"]])
-    assert len(search.larger_models) == 2
+    assert [e.name for e in larger.model.effects[len(model.effects) :]] == ["mismatch", "leak", "yaw-bias"]
+    assert larger.null == {"mismatch", "leak", "yaw-bias"}
+    mine._share_kernels(model, [known["mismatch"], known["yaw-bias"]])  # this kernel serves them already
+    mine._share_kernels(model, [known["wind"]])  # one effect needs no larger model
+    assert mine.larger_models == [larger]
+
+
+def test_shared_kernel_of_a_later_round_leaves_an_effect_that_was_found_without_a_size() -> None:
+    """The fit without an effect found uses this kernel, too."""
+    model, known = with_disturbances(horizontal_model("shaft")), catalogue()
+    mine = a_search()
+    mine.rounds = [Round((), (), (), replace(refit("mismatch", 50.0), effect=known["mismatch"]))]
+    found = (model + known["mismatch"]).with_values({"eps_LR": 0.2, "m_u": 60.0})
+    mine._share_kernels(found, [known["leak"], known["wind"]])
+    (larger,) = mine.larger_models
+    assert larger.null == {"mismatch", "leak", "wind"}
+    assert larger.model.values["eps_LR"] == 0.0
+    assert larger.contains(model)
+    assert larger.contains(found)

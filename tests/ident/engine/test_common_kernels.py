@@ -9,9 +9,10 @@ import pytest
 
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine import jit
-from seatrial.ident.engine.common_kernels import common_kernels, common_model_of, contains
+from seatrial.ident.engine.common_kernels import LargerModel, common_kernels, common_model_of
 from seatrial.ident.engine.filter_kernels import filter_kernels_for
-from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
+from seatrial.ident.estimation.output_error import predict_ahead, simulate
 from seatrial.ident.model.structure import Effect, Model, State
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
@@ -25,6 +26,12 @@ def boat(inputs: str = "shaft") -> Model:
 def forget_tangent(model: Model) -> None:
     """Remove the kernel of sensitivities of a model from memory."""
     vars(filter_kernels_for(model)).pop("tangent", None)
+
+
+def same_filter(found: FilterResult, wanted: FilterResult) -> None:
+    """Check that the output of two filters is the same, except for rounding."""
+    for name in ("x_pred", "x_filt", "e", "eps", "S", "ll", "P_pred", "P_filt", "Phi"):
+        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-7, atol=1e-8, err_msg=name)
 
 
 def with_all_effects(model: Model) -> Model:
@@ -53,14 +60,28 @@ def test_effects_of_a_larger_model_change_nothing(inputs: str) -> None:
     with jit.quick_compilation(0):
         own = Likelihood(model).scores(record, values, double=True)
         value, by_row = Likelihood(model).value(record, values), Likelihood(model).value_by_row(record, values)
+        run, alone, starts = Likelihood(model).filter(record, values), simulate(model, record), np.arange(10)
+        alone_ahead = predict_ahead(model, record, None, run.x_filt, starts, starts + 7)
+        forecast = Likelihood(model).forecast(record, values, run.x_filt[3], run.P_filt[3], 3, 20)
         forget_tangent(model)
         with common_kernels() as models:
-            models.append(larger)
+            models.append(LargerModel(larger, frozenset(e.name for e in larger.effects)))
             likelihood = Likelihood(model)
             shared = likelihood.scores(record, values, double=True)
             assert likelihood.value(record, values) == pytest.approx(value, rel=1e-10)
             np.testing.assert_allclose(likelihood.value_by_row(record, values), by_row, rtol=1e-8, atol=1e-8)
-    assert not filter_kernels_for(model).has_tangent  # the kernel of the larger model was used
+            same_filter(likelihood.filter(record, values), run)
+            vars(filter_kernels_for(model, covariance=False)).pop("simulate", None)
+            simulated = simulate(model, record)
+            np.testing.assert_allclose(simulated.x, alone.x, rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(simulated.y, alone.y, rtol=1e-9, atol=1e-9)
+            assert not filter_kernels_for(model, covariance=False).has("simulate")
+            ahead = predict_ahead(model, record, None, run.x_filt, starts, starts + 7)
+            np.testing.assert_allclose(ahead.x, alone_ahead.x, rtol=1e-9, atol=1e-9)
+            means, spreads = likelihood.forecast(record, values, run.x_filt[3], run.P_filt[3], 3, 20)
+            np.testing.assert_allclose(means, forecast[0], rtol=1e-9, atol=1e-9)
+            np.testing.assert_allclose(spreads, forecast[1], rtol=1e-8, atol=1e-9)
+    assert not filter_kernels_for(model).has("tangent")  # the kernel of the larger model was used
     scale = np.sqrt(np.diag(own.information)) + 1e-6
     assert shared.value == pytest.approx(own.value, rel=1e-10)
     assert np.abs((shared.gradient - own.gradient) / scale).max() < 1e-6
@@ -79,11 +100,11 @@ def test_models_with_one_effect_each_share_a_kernel() -> None:
         forget_tangent(one)
         with jit.quick_compilation(0):
             with common_kernels() as models:
-                models.append(larger)
+                models.append(LargerModel(larger, frozenset(e.name for e in larger.effects)))
                 shared = Likelihood(one).scores(record, values)
-            assert not filter_kernels_for(one).has_tangent
+            assert not filter_kernels_for(one).has("tangent")
             own = Likelihood(one).scores(record, values)
-        assert filter_kernels_for(one).has_tangent
+        assert filter_kernels_for(one).has("tangent")
         assert shared.value == pytest.approx(own.value, rel=1e-10)
         scale = np.sqrt(np.diag(own.information)) + 1e-6
         assert np.abs((shared.gradient - own.gradient) / scale).max() < 1e-3
@@ -94,27 +115,37 @@ def test_models_with_one_effect_each_share_a_kernel() -> None:
 def test_a_model_contains_itself_without_some_effects_only() -> None:
     first, second, third = (catalogue()[name] for name in ("cubic-drag", "mismatch", "yaw-bias"))
     model = boat()
-    larger = model + first + second
-    assert contains(larger, model)
-    assert contains(larger, model + first)
-    assert contains(larger, (model + second).with_values({"m_u": 50.0}))
-    assert contains(larger, larger)
-    assert not contains(model, larger)
-    assert not contains(larger, model + second + first)  # hooks run in the order of the effects
-    assert not contains(larger, model + third)
-    assert not contains(larger, model + replace(first, hooks=dict(first.hooks)))  # other functions of the same name
-    assert not contains(larger, replace(model, second_order=True))
-    assert not contains(larger, horizontal_model("shaft"))
-    assert not contains(larger + replace(third, states=(State("more", noise=0.1),)), model)
+    larger = LargerModel(model + first + second, frozenset({first.name, second.name}))
+    assert larger.contains(model)
+    assert larger.contains(model + first)
+    assert larger.contains((model + second).with_values({"m_u": 50.0}))
+    assert larger.contains(larger.model)
+    assert not LargerModel(model, frozenset()).contains(larger.model)
+    assert not larger.contains(model + second + first)  # hooks run in the order of the effects
+    assert not larger.contains(model + third)
+    assert not larger.contains(model + replace(first, hooks=dict(first.hooks)))  # other functions of the same name
+    assert not larger.contains(replace(model, second_order=True))
+    assert not larger.contains(horizontal_model("shaft"))
+    more = larger.model + replace(third, states=(State("more", noise=0.1),))
+    assert not LargerModel(more, larger.null | {third.name}).contains(model)
+
+
+def test_an_effect_with_a_size_is_not_left_out() -> None:
+    """Only effects that are declared to change nothing at the values of the larger model may be missing."""
+    first, second = (catalogue()[name] for name in ("cubic-drag", "mismatch"))
+    model = boat()
+    larger = LargerModel(model + strong(first) + second, frozenset({second.name}))
+    assert not larger.contains(model)
+    assert larger.contains(model + first)
 
 
 def test_larger_models_are_used_only_in_their_context() -> None:
     model = boat()
     with common_kernels() as outer:
-        outer.append(model + catalogue()["cubic-drag"])
+        outer.append(LargerModel(model + catalogue()["cubic-drag"], frozenset({"cubic-drag"})))
         with common_kernels() as inner:
-            assert common_model_of(model) is outer[0]
-            inner.append(model + catalogue()["mismatch"])
-            assert common_model_of(model) is inner[0]
-        assert common_model_of(model) is outer[0]
+            assert common_model_of(model) is outer[0].model
+            inner.append(LargerModel(model + catalogue()["mismatch"], frozenset({"mismatch"})))
+            assert common_model_of(model) is inner[0].model
+        assert common_model_of(model) is outer[0].model
     assert common_model_of(model) is None
