@@ -30,7 +30,7 @@ from seatrial.ident.diagnosis.common_errors import HULL_FORM
 from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
-from seatrial.ident.effects import catalogue, is_special_case
+from seatrial.ident.effects import catalogue, is_special_case, separating_experiment
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
 from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, ModelKind, Parameter, ParameterOrigin
@@ -713,7 +713,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
       command that designs a mission to distinguish it from one of them (`competitor_of`). The command is left out if
       one of both is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be
-      designed for the model.
+      designed for the model. If no mission distinguishes them (`separating_experiment`), what does.
     - An ambiguous effect or a nonparametric curve without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
@@ -726,7 +726,12 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         if effect is None:
             continue
         competitor = competitor_of(diagnosis, attribution)
-        if competitor is not None:
+        if competitor is not None and (instead := separating_experiment(effect.name, competitor)):
+            lines.append(
+                f"To distinguish {effect.title} from {titles[competitor]}: {instead}. A mission of thruster commands "
+                "may not distinguish them, however long it is, because one can imitate the other."
+            )
+        elif competitor is not None:
             lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
             of_catalogue = kinds[effect.name] is kinds[competitor] is EffectKind.CATALOGUE
             of_catalogue &= {effect.name, competitor} <= set(catalogue())
@@ -791,10 +796,18 @@ def _advice_on_remaining(diagnosis: Diagnosis) -> str:
     advice += (
         f"To test one, fit the model again with --effect {names[0]}, and compare both models on logs of neither fit"
     )
-    pairs = [f"{a},{b}" for a, b in combinations(names, 2) if not is_special_case(a, b)]
+    pairs = [f"{a},{b}" for a, b in combinations(names, 2) if is_mission_useful(a, b)]
     if pairs and not reason_without_mission(diagnosis.before.model):
         advice += f". `seatrial mission design MODEL --discriminate {pairs[0]}` designs a mission that tells two apart"
     return advice
+
+
+def is_mission_useful(first: str, second: str) -> bool:
+    """Return whether a mission of thruster commands may distinguish two effects of the catalogue, given by name.
+
+    None does if one of them is a special case of the other, or if they have a `separating_experiment`.
+    """
+    return not is_special_case(first, second) and not separating_experiment(first, second)
 
 
 def reason_without_experiment(diagnosis: Diagnosis) -> str:
