@@ -87,9 +87,9 @@ EFFECT = Effect(
     alternatives=("steady-pull", "steady-force", "current-drift", "heading-moment", "mount"),
     # With w_x near 1, a small k_air and no lever arms, wind is a steady pull: on data of a pull it fits as well.
     separated_by={
-        "steady-pull": "the wind of that day (an anemometer, or a weather station; its direction has to agree with "
-        "that of the force), or a further run in calm air or on a day with another wind, in which the force of wind "
-        "changes and that of another cause does not"
+        "steady-pull": "measure the wind (an anemometer, or a weather station for a run of the past; its direction has "
+        "to agree with that of the force), or record a further run in calm air or on a day with another wind: the "
+        "force of wind then changes, and that of another cause does not"
     },
     in_words=force,
 )

@@ -447,7 +447,7 @@ def test_a_discrimination_says_that_random_sequences_are_enough(
         (("delay", "lag"), 10.0, "the same mission run twice has a T of 10: give --duration 1560 (26 min) or more"),
         (("delay", "lag"), 5.5, "so that even an hour of such missions is not enough. Other conditions may: a day on"),
         (("delay", "lag"), 5.0, "so that even an hour of such missions is not enough."),
-        (("wind", "steady-pull"), 5.5, "not enough. What distinguishes them is this: the wind of that day (an anemom"),
+        (("wind", "steady-pull"), 5.5, "not enough. What distinguishes them is this: measure the wind (an anemom"),
     ],
 )
 def test_a_mission_that_is_too_short_says_how_long_it_should_be(

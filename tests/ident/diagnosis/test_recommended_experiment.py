@@ -56,9 +56,7 @@ def test_no_mission_is_recommended_for_a_pair_that_none_distinguishes(names: tup
     effect, competitor = (catalogue()[name] for name in names)
     text = recommended_experiment(ambiguous(effect, competitor))
     assert text is not None
-    assert text.startswith(
-        f"To distinguish {effect.title} from {competitor.name}: the wind of that day (an anemometer, "
-    )
+    assert text.startswith(f"To distinguish {effect.title} from {competitor.name}: measure the wind (an anemometer, ")
     assert text.endswith(" may not distinguish them, however long it is, because one can imitate the other.")
     assert "--discriminate" not in text
     left = [blank_score(name) for name in names]
