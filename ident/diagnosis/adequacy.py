@@ -27,7 +27,7 @@ import numpy as np
 
 from seatrial.ident.diagnosis.acceptance import improves_prediction, is_accepted, is_validated
 from seatrial.ident.diagnosis.common_errors import HULL_FORM
-from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Outcome, Refit, Round
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects import catalogue, is_special_case, separating_experiment
@@ -204,7 +204,7 @@ def _remaining_test_reasons(
             many = _many_remaining_tests_reasons(remaining, len(evidence.nominal), policy)
     still_found = _alternatives_still_found(search_round, remaining, len(chosen))
     return [
-        *_strong_remaining_test_reasons(strong, evidence.n),
+        *_strong_remaining_test_reasons(strong, evidence.n, rounds),
         *many,
         *_remaining_alternative_reasons(still_found),
         *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
@@ -266,24 +266,44 @@ def _own_reasons(
     ]
 
 
-def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[Reason]:
+def _strong_remaining_test_reasons(strong: Sequence[Score], n: int, rounds: Sequence[Round]) -> list[Reason]:
     """Return the reason for ambiguity that the score tests still find a large effect; empty if ``strong`` is empty.
 
     ``strong`` are the scores on the last model that pass and exceed the limit of the criterion. The limit is the larger
     of ``policy.max_remaining_criterion`` and the share ``policy.max_remaining_share`` of the summed criteria of all
     effects; above ``policy.max_remaining_criterion`` it is at most the effect's own criterion. The one with the largest
-    criterion is named. ``n`` is the number of rows of the estimation data.
+    criterion is named. ``n`` is the number of rows of the estimation data. If the last of the ``rounds`` fitted this
+    candidate and the prediction was no better with it, the text says so.
     """
     if not strong:
         return []
     best = max(strong, key=lambda s: s.criterion(n))
+    what = "which may be the true cause"
+    if is_no_better_prediction(best.name, rounds):
+        what = "which explains the estimation data and does not improve the prediction"
     return [
         Reason(
             f"even with it in the model, the score tests still find {_finding_in_words(best)} (expected ΔBIC "
-            f"{best.criterion(n):.0f}), which may be the true cause",
+            f"{best.criterion(n):.0f}), {what}",
             best.name,
         )
     ]
+
+
+def is_no_better_prediction(name: str, rounds: Sequence[Round]) -> bool:
+    """Return whether the last round fitted a candidate, and the prediction was no better with it.
+
+    Parameters
+    ----------
+    name
+        Name of the candidate's score, such as ``N(v, r)``; its effect is called ``unknown N(v, r)``.
+    rounds
+        Rounds of the search.
+    """
+    return any(
+        q.outcome is Outcome.NO_BETTER_PREDICTION and name in (q.effect.name, q.effect.name.removeprefix("unknown "))
+        for q in (rounds[-1].refits if rounds else ())
+    )
 
 
 def _many_remaining_tests_reasons(remaining: Sequence[Score], n_tests: int, policy: SearchPolicy) -> list[Reason]:
@@ -541,7 +561,8 @@ def _nonparametric_curve_reasons(
         for q in search_round.refits
         if q.nonparametric and is_accepted(q, policy) and q.criterion > search_round.chosen.criterion
     ]
-    return reasons + [Reason(f"{q.effect.title} would explain more than it", q.effect.name) for q in better[:1]]
+    more = "would explain more of the estimation data than it"
+    return reasons + [Reason(f"{q.effect.title} {more}", q.effect.name) for q in better[:1]]
 
 
 def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
