@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from docs.site.formulas import formula_tex  # noqa: E402
-from seatrial.ident.effects import catalogue  # noqa: E402
+from seatrial.ident.effects import catalogue, separating_experiment  # noqa: E402
 from seatrial.ident.model import Effect  # noqa: E402
 
 PAGE = ROOT / "docs/theory/effects.md"
@@ -72,6 +72,10 @@ def section(effect: Effect) -> list[str]:
     if effect.alternatives:
         links = ", ".join(f"[{name}](#{name})" for name in effect.alternatives)
         lines.append(f"- Competing effects: {links}")
+    for other in effect.alternatives:
+        if instead := separating_experiment(effect.name, other):
+            unlike = f"A mission of thruster commands may not distinguish it from [{other}](#{other})"
+            lines.append(f"- {unlike}. What does: {instead}")
     return [*lines, f"- Source: {effect.source}"]
 
 

@@ -27,10 +27,10 @@ import numpy as np
 
 from seatrial.ident.diagnosis.acceptance import improves_prediction, is_accepted, is_validated
 from seatrial.ident.diagnosis.common_errors import HULL_FORM
-from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Outcome, Refit, Round
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
-from seatrial.ident.effects import catalogue, is_special_case
+from seatrial.ident.effects import catalogue, is_special_case, separating_experiment
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
 from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, ModelKind, Parameter, ParameterOrigin
@@ -204,7 +204,7 @@ def _remaining_test_reasons(
             many = _many_remaining_tests_reasons(remaining, len(evidence.nominal), policy)
     still_found = _alternatives_still_found(search_round, remaining, len(chosen))
     return [
-        *_strong_remaining_test_reasons(strong, evidence.n),
+        *_strong_remaining_test_reasons(strong, evidence.n, rounds),
         *many,
         *_remaining_alternative_reasons(still_found),
         *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
@@ -266,24 +266,44 @@ def _own_reasons(
     ]
 
 
-def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[Reason]:
+def _strong_remaining_test_reasons(strong: Sequence[Score], n: int, rounds: Sequence[Round]) -> list[Reason]:
     """Return the reason for ambiguity that the score tests still find a large effect; empty if ``strong`` is empty.
 
     ``strong`` are the scores on the last model that pass and exceed the limit of the criterion. The limit is the larger
     of ``policy.max_remaining_criterion`` and the share ``policy.max_remaining_share`` of the summed criteria of all
     effects; above ``policy.max_remaining_criterion`` it is at most the effect's own criterion. The one with the largest
-    criterion is named. ``n`` is the number of rows of the estimation data.
+    criterion is named. ``n`` is the number of rows of the estimation data. If the last of the ``rounds`` fitted this
+    candidate and the prediction was no better with it, the text says so.
     """
     if not strong:
         return []
     best = max(strong, key=lambda s: s.criterion(n))
+    what = "which may be the true cause"
+    if is_no_better_prediction(best.name, rounds):
+        what = "which explains the estimation data and does not improve the prediction"
     return [
         Reason(
             f"even with it in the model, the score tests still find {_finding_in_words(best)} (expected ΔBIC "
-            f"{best.criterion(n):.0f}), which may be the true cause",
+            f"{best.criterion(n):.0f}), {what}",
             best.name,
         )
     ]
+
+
+def is_no_better_prediction(name: str, rounds: Sequence[Round]) -> bool:
+    """Return whether the last round fitted a candidate, and the prediction was no better with it.
+
+    Parameters
+    ----------
+    name
+        Name of the candidate's score, such as ``N(v, r)``; its effect is called ``unknown N(v, r)``.
+    rounds
+        Rounds of the search.
+    """
+    return any(
+        q.outcome is Outcome.NO_BETTER_PREDICTION and name in (q.effect.name, q.effect.name.removeprefix("unknown "))
+        for q in (rounds[-1].refits if rounds else ())
+    )
 
 
 def _many_remaining_tests_reasons(remaining: Sequence[Score], n_tests: int, policy: SearchPolicy) -> list[Reason]:
@@ -541,7 +561,8 @@ def _nonparametric_curve_reasons(
         for q in search_round.refits
         if q.nonparametric and is_accepted(q, policy) and q.criterion > search_round.chosen.criterion
     ]
-    return reasons + [Reason(f"{q.effect.title} would explain more than it", q.effect.name) for q in better[:1]]
+    more = "would explain more of the estimation data than it"
+    return reasons + [Reason(f"{q.effect.title} {more}", q.effect.name) for q in better[:1]]
 
 
 def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
@@ -713,7 +734,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
       command that designs a mission to distinguish it from one of them (`competitor_of`). The command is left out if
       one of both is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be
-      designed for the model.
+      designed for the model. If no mission distinguishes them (`separating_experiment`), what does.
     - An ambiguous effect or a nonparametric curve without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
       has one.
@@ -726,7 +747,12 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         if effect is None:
             continue
         competitor = competitor_of(diagnosis, attribution)
-        if competitor is not None:
+        if competitor is not None and (instead := separating_experiment(effect.name, competitor)):
+            lines.append(
+                f"To distinguish {effect.title} from {titles[competitor]}: {instead}. A mission of thruster commands "
+                "may not distinguish them, however long it is, because one can imitate the other."
+            )
+        elif competitor is not None:
             lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
             of_catalogue = kinds[effect.name] is kinds[competitor] is EffectKind.CATALOGUE
             of_catalogue &= {effect.name, competitor} <= set(catalogue())
@@ -791,10 +817,18 @@ def _advice_on_remaining(diagnosis: Diagnosis) -> str:
     advice += (
         f"To test one, fit the model again with --effect {names[0]}, and compare both models on logs of neither fit"
     )
-    pairs = [f"{a},{b}" for a, b in combinations(names, 2) if not is_special_case(a, b)]
+    pairs = [f"{a},{b}" for a, b in combinations(names, 2) if is_mission_useful(a, b)]
     if pairs and not reason_without_mission(diagnosis.before.model):
         advice += f". `seatrial mission design MODEL --discriminate {pairs[0]}` designs a mission that tells two apart"
     return advice
+
+
+def is_mission_useful(first: str, second: str) -> bool:
+    """Return whether a mission of thruster commands may distinguish two effects of the catalogue, given by name.
+
+    None does if one of them is a special case of the other, or if they have a `separating_experiment`.
+    """
+    return not is_special_case(first, second) and not separating_experiment(first, second)
 
 
 def reason_without_experiment(diagnosis: Diagnosis) -> str:

@@ -257,7 +257,13 @@ class Round:
                     )
                 return worse
             case Outcome.NO_BETTER_PREDICTION:
-                return f"the prediction is no better with {best.effect.title}"
+                explained = f"{best.effect.title} explains a part of the residuals one step ahead"
+                if best.validation_gain > 0.0 and best.t > CLEAR_T:
+                    explained += (
+                        f" (the log-likelihood of the validation data rises by {best.validation_gain:.0f}, t = "
+                        f"{best.t:.1f})"
+                    )
+                return f"{explained}, but the prediction is no better with it"
             case _:
                 return "no candidate predicts the validation data significantly better"
 

@@ -8,3 +8,4 @@ from .nonparametric import shape as shape
 from .propulsion.lag_mismatch import SHORTEST_OWN_LAG as SHORTEST_OWN_LAG
 from .registry import catalogue as catalogue
 from .registry import is_special_case as is_special_case
+from .registry import separating_experiment as separating_experiment

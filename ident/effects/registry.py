@@ -65,6 +65,17 @@ def is_special_case(first: str, second: str) -> bool:
     )
 
 
+def separating_experiment(first: str, second: str) -> str:
+    """Return what distinguishes two effects of the catalogue that a mission of thruster commands may not distinguish.
+
+    The effects are given by name, in any order. The result is that of `Effect.separated_by`, a clause for reports. It
+    is empty if a mission may distinguish them, or if a name is not in the catalogue.
+    """
+    known = catalogue()
+    texts = (known[a].separated_by.get(b, "") for a, b in ((first, second), (second, first)) if a in known)
+    return next(filter(None, texts), "")
+
+
 def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
     """Return the effects in the object that an entry point of another installed package names.
 

@@ -6,7 +6,8 @@ from .discrimination import DiscriminationDesign as DiscriminationDesign
 from .discrimination import baselines_apart as baselines_apart
 from .discrimination import discriminate as discriminate
 from .discrimination import probability_of_true_model as probability_of_true_model
-from .discrimination import separation as separation
+from .discrimination import reliable_duration as reliable_duration
+from .discrimination import separation_if_repeated as separation_if_repeated
 from .evaluator import N_TRACKS as N_TRACKS
 from .evaluator import DesignEvaluator as DesignEvaluator
 from .excitation import SHAFT_POLE as SHAFT_POLE

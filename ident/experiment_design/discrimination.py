@@ -280,6 +280,57 @@ def separation(model_a: Model, model_b: Model, problem: DesignProblem, command: 
     return first, second
 
 
+def separation_if_repeated(
+    model_a: Model, model_b: Model, problem: DesignProblem, command: Array
+) -> tuple[float, float]:
+    """Return the separation T of two models by a command that is run twice in a row (`separation`).
+
+    Parameters
+    ----------
+    model_a, model_b
+        The models with fitted values.
+    problem
+        Design problem of the command that is run once.
+    command
+        Command (n_rows, n_channels), -1 to 1, on the rows of the problem.
+
+    Raises
+    ------
+    SeatrialError
+        If a simulation diverges.
+    """
+    steps = replace(problem.steps, duration=2.0 * problem.steps.duration, n_steps=2 * problem.steps.n_steps)
+    return separation(model_a, model_b, replace(problem, steps=steps), np.concatenate([command[:-1], command]))
+
+
+def reliable_duration(T: float, twice: float, duration: float) -> float:
+    """Return the duration [s] from which the separation T would exceed 30 (`RELIABLE_T`), at the earliest.
+
+    Parameters
+    ----------
+    T
+        Separation of two models by a mission.
+    twice
+        Separation by this mission run twice in a row.
+    duration
+        Duration of the mission [s].
+
+    Returns
+    -------
+    float
+        Duration at which T reaches 30 if each repetition adds as much as the first one. Infinite if T does not grow.
+
+    Notes
+    -----
+    T of a pair in which neither model can imitate the other grows in proportion to the duration. A part of T may be the
+    price of parameters far from their priors, with which one model imitates the other: this part is paid once. Later
+    repetitions then add less than the first one, so that the result is a lower limit.
+    """
+    if T >= RELIABLE_T:
+        return duration
+    return duration * (1.0 + (RELIABLE_T - T) / (twice - T)) if twice > T else float("inf")
+
+
 def baselines_apart(
     model_a: Model, model_b: Model, problem: DesignProblem, signals: Mapping[str, BaselineSignal]
 ) -> dict[str, BaselineSignal]:

@@ -406,6 +406,10 @@ class Effect:
         shows that something else acts: no name of such an effect is certain.
     alternatives : tuple[str, ...]
         Names of competing effects that explain similar data.
+    separated_by : Mapping[str, str]
+        Competing effects that a mission of thruster commands may not distinguish from this one, however long it is,
+        because one can imitate the other. The keys are their names, the values clauses that say what distinguishes
+        them. One of both effects has the entry.
     nests : tuple[str, ...]
         Names of effects that are special cases of this effect. It explains at least as much as they do.
     scan : Mapping[str, tuple[float, ...]]
@@ -458,6 +462,7 @@ class Effect:
     one_sided: bool = False
     cannot_be_negative: Mapping[str, str] = field(default_factory=dict)
     alternatives: tuple[str, ...] = ()
+    separated_by: Mapping[str, str] = field(default_factory=dict)
     nests: tuple[str, ...] = ()
     scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     kind: EffectKind = EffectKind.CATALOGUE

@@ -73,11 +73,12 @@ def _introduction(result: DesignResult) -> str:
     )
     if result.apart is not None:
         first, second = result.apart.effects
+        wrong = f" {result.apart.wrong_choice}" if result.apart.wrong_choice else ""
         return (
             f"The steps of this mission distinguish {first} from {second}: they maximise the criterion T, twice the "
-            "expected log-likelihood ratio of the model with the true effect against the other one, whichever is true. "
-            "Standard errors after the mission are those of a prediction-error fit to this run, combined with the "
-            "information before the mission."
+            "expected log-likelihood ratio of the model with the true effect against the other one, whichever is true."
+            f"{wrong} Standard errors after the mission are those of a prediction-error fit to this run, combined with "
+            "the information before the mission."
         )
     return (
         f"The steps of this mission maximise the {result.criterion} criterion of the Fisher information of "
@@ -94,9 +95,12 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
     (`--discriminate`), they include the criterion T for either of them, and their sizes.
     """
     found = [("model", result.model), (f"criterion {result.criterion}", formatting.plain(result.value, 4))]
-    found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
+    best = max((r.value for r in result.baselines), default=None)
+    found.append((f"best of {result.random_sequences}", formatting.plain(best, 4)))
     if result.share_won is not None:
-        found.append(("better than the baselines in", formatting.percent(result.share_won, 1) + " of the samples"))
+        found.append(
+            ("better than the best PRBS and RGS in", formatting.percent(result.share_won, 1) + " of the samples")
+        )
     if result.rates:
         found.append(("sensors", ", ".join(f"{name} {hz:.3g} Hz" for name, hz in result.rates.items())))
     if result.apart is not None:
@@ -105,10 +109,6 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
             (f"T if {first} is true", formatting.plain(result.apart.if_first)),
             (f"T if {second} is true", formatting.plain(result.apart.if_second)),
         ]
-        if result.apart.probability is not None:
-            share = formatting.percent(result.apart.probability, 1)
-            share = "> 99.9 %" if result.apart.probability > 0.999 else share  # no model is exact enough for more
-            found.append(("prefers the true one, if it is one of both, in", share))
         for row in result.apart.sizes:
             values = [
                 f"{p.name} = {formatting.plain(p.value)} {formatting.typeset_unit(p.unit)}".rstrip()
@@ -131,7 +131,7 @@ def _errors_section(result: DesignResult) -> Section:
         ("± before", "num"),
         ("± after", "num"),
         ("± after / value", "num"),
-        (f"± after the best {result.baseline}", "num"),
+        (f"± after the best random sequence ({result.baseline})", "num"),
         ("meaning", ""),
     )
     lines: list[list[Cell | str]] = []
@@ -153,7 +153,15 @@ def _errors_section(result: DesignResult) -> Section:
         "errors",
         "Expected standard errors",
         [Table(columns, lines)] if lines else [],
-        "A dash in the column “± before” means that there is no information before the mission.",
+        " ".join(
+            filter(
+                None,
+                [
+                    result.other_parameters,
+                    "A dash in the column “± before” means that there is no information before the mission.",
+                ],
+            )
+        ),
     )
 
 
@@ -268,8 +276,8 @@ def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
     lead = (
         "Criterion at 1000 samples of the parameters. The samples are drawn from the standard errors of a model.toml, "
         "otherwise uniformly within the prior half-width about the nominal values. Larger is better; one unit is a "
-        "factor e in the determinant. PRBS and RGS are each the best of 20 sequences, with the bandwidth and amplitude "
-        "that suit the nominal values; they do not keep the limits of area, speed or energy."
+        "factor e in the determinant. PRBS and RGS are each the best of their random sequences, with the bandwidth "
+        "and amplitude that suit the nominal values; they do not keep the limits of area, speed or energy."
     )
     return Section(
         "baselines",

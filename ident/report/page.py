@@ -172,7 +172,7 @@ def compose(
     version, created : str
         Version of seatrial and time (ISO 8601; may be empty), for the footer.
     warnings : sequence of str
-        Sentences shown above the headline.
+        Sentences shown below the headline.
     """
     headline, more, sizes = answer.parts()
     headline = formatting.tied(headline)

@@ -665,7 +665,10 @@ class Discrimination(Part, frozen=True, kw_only=True):
     if_second: Annotated[float, Meta(description="criterion T if the second effect is true")]
     if_first: Annotated[float, Meta(description="criterion T if the first effect is true")]
     clear: Annotated[bool, Meta(description="whether both are large enough to distinguish the effects")]
-    random: Annotated[Array, Meta(description="criterion T of random missions")]
+    random: Annotated[
+        Array,
+        Meta(description="criterion T of all random sequences, the `seeds` of `baselines`; of 8 others in older files"),
+    ]
     probability: Annotated[
         float | None,
         Meta(
@@ -674,6 +677,28 @@ class Discrimination(Part, frozen=True, kw_only=True):
         ),
     ] = None
     sizes: Annotated[tuple[HypothesisSize, ...], Meta(description="sizes of both effects; empty in older files")] = ()
+    twice: Annotated[
+        float | None,
+        Meta(
+            description="smaller criterion T of the mission run twice in a row, for the answer on a longer mission; "
+            "null if `clear`, and in older files"
+        ),
+    ] = None
+
+    @property
+    def wrong_choice(self) -> str:
+        """Sentence on the probability that a fit to the mission prefers the wrong effect; empty in older files.
+
+        It is never below 0.1 %, because no model is exact enough for less.
+        """
+        if self.probability is None:
+            return ""
+        wrong = 1.0 - self.probability
+        share = f"{100.0 * wrong:.1f} %" if wrong > LEAST_SHARE else f"less than {100.0 * LEAST_SHARE:.1f} %"
+        return (
+            f"If one of the two effects explains the boat completely, a fit to this mission prefers the wrong one with "
+            f"a probability of {share} (guessing: 50 %; T = 30: 0.3 %)."
+        )
 
 
 class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="design"):
@@ -708,7 +733,46 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
         """Criterion of the designed mission minus that of the best baseline signal; negative if the design is worse."""
         return self.value - max(b.value for b in self.baselines)
 
+    @property
+    def random_sequences(self) -> str:
+        """Random sequences that the design is compared with, in words: ``40 random sequences (20 PRBS, 20 RGS)``."""
+        counts = {b.name: np.size(b.seeds) for b in self.baselines}
+        return f"{sum(counts.values())} random sequences ({', '.join(f'{n} {name}' for name, n in counts.items())})"
 
+    @property
+    def less_informed(self) -> dict[str, float]:
+        """Parameters about which the mission informs less than the best random sequence, the worst first.
+
+        The value is the standard error after the mission over that after the sequence, above 1.2. The parameters that
+        the mission is designed for are left out; a mission that distinguishes two effects is designed for none.
+        """
+        ratios = {
+            p.name: p.after / p.baseline
+            for p in self.parameters
+            if p.after and p.baseline and (self.apart is not None or not p.chosen)
+        }
+        return dict(sorted(((n, r) for n, r in ratios.items() if r > WORSE_ERROR), key=lambda item: -item[1]))
+
+    @property
+    def other_parameters(self) -> str:
+        """Sentences on the parameters about which a random sequence informs more, and what to do; empty without any."""
+        worse = self.less_informed
+        if not worse:
+            return ""
+        name, ratio = next(iter(worse.items()))
+        aim = f"inform about {', '.join(self.chosen)}"
+        if self.apart is not None:
+            aim = f"distinguish {' from '.join(self.apart.effects)}"
+        return (
+            f"This mission is designed to {aim}. It can inform less about other parameters than a random sequence: "
+            f"{len(worse)} of {len(self.parameters)} standard errors are larger, that of {name} {ratio:.1f} times. If "
+            "you need these parameters too, record a random mission as well (`seatrial mission generate --kind "
+            "mixed`), or one that is designed for them, and fit the model to all logs."
+        )
+
+
+LEAST_SHARE = 0.001  # smallest probability of a wrong choice that is shown
+WORSE_ERROR = 1.2  # a standard error is larger than that after a random sequence from this ratio on
 APART = 0.4  # initial values of the fits of a study are within a factor exp(+-APART) of the truth
 BIAS, COVERAGE, VARIANCE = 0.15, (0.93, 0.97), 0.1  # aims of a study: |bias| / sd, coverage, |variance ratio - 1|
 MOST_LOST = 0.05  # share of the replicates that may fail or not converge; with more, the others are a biased sample

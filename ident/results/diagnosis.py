@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -26,6 +27,7 @@ from seatrial.ident.diagnosis import (
     contradicting_signs,
     detectable_sizes,
     is_immaterial,
+    is_no_better_prediction,
     reason_without_experiment,
     recommended_experiment,
     removal_reason,
@@ -173,7 +175,9 @@ def diagnosis_result(
     recommended = recommended_experiment(diagnosis)
     rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
     bench = diagnosis.after.fit.model.kind is ModelKind.BENCH
-    answer = "" if failed else diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors), bench=bench)
+    answer, again = "", command_without_validation(made.command)
+    if not failed:
+        answer = diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors), bench=bench, again=again)
     stability = dynamics.course if dynamics else None
     course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
@@ -294,6 +298,7 @@ def diagnosis_answer(
     poor: tuple[str, float] | None = None,
     *,
     bench: bool = False,
+    again: str = "",
 ) -> str:
     """Return the answer of a diagnosis: the missing effects, and the change of the prediction errors by them.
 
@@ -314,8 +319,11 @@ def diagnosis_answer(
         Channel that the model predicts worse than by its mean value, and its fit (negative); None without one.
     bench : bool
         Whether the model is that of a thruster on a bench. No command but the diagnosis fits effects to it.
+    again : str
+        Command of a diagnosis of all logs together, without validation logs (`command_without_validation`). Empty if
+        there is none.
     """
-    sentences = [_missing_effects_sentence(diagnosis, prediction, horizon, bench)]
+    sentences = [_missing_effects_sentence(diagnosis, prediction, horizon, bench, again)]
     if poor is not None and not diagnosis.effects and diagnosis.rounds:
         sentences.append(
             f"But the model predicts one channel {horizon:g} s ahead worse than its mean value would: {poor[0]}, fit "
@@ -427,7 +435,7 @@ def _likelihood_sentence(diagnosis: Diagnosis, role: str) -> str:
 
 
 def _missing_effects_sentence(
-    diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float, bench: bool
+    diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float, bench: bool, again: str
 ) -> str:
     """Return the sentences on the missing effects, or on why no effect was added.
 
@@ -435,7 +443,7 @@ def _missing_effects_sentence(
     (and, if there was no round, a sentence that no effect was found); there was no round (perhaps because the data are
     short); candidates could not be refitted; effects were removed because the prediction is as good without them; the
     smallest p value, above 1e-6, may be by chance; no candidate explains the residuals. ``bench``: whether the model is
-    that of a thruster on a bench.
+    that of a thruster on a bench. ``again``: command of a diagnosis of all logs together; it may be empty.
     """
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=_fell_enough(diagnosis, prediction))}."
@@ -473,14 +481,65 @@ def _missing_effects_sentence(
     if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
     nearest = _nearest_effects(last, strongest.name, bench)
+    failed = "improves the prediction" if last.outcome is Outcome.NO_BETTER_PREDICTION else "explains the residuals"
     return (
         f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
-        f"({_p_in_words(strongest.p)}), but no candidate explains the residuals: {why}. {nearest}A score test can "
-        "find what the tests of whiteness and of the correlations with the inputs miss. Give all logs of "
-        f"{'this thruster on the bench' if bench else 'the boat'} first, as further logs of the estimation or with "
-        f"--validate; if there are no others, record longer {'tests' if bench else 'runs'}. Look at the residuals in "
-        "the report."
+        f"({_p_in_words(strongest.p)}), but no candidate {failed}: {why}. {nearest}A score test can "
+        "find what the tests of whiteness and of the correlations with the inputs miss. "
+        f"{_all_logs_sentence(diagnosis, again, bench)} Look at the residuals in the report."
+        f"{_two_velocities_sentence(strongest.name)}"
     )
+
+
+def _all_logs_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
+    """Return the advice to diagnose all logs together, after a diagnosis that added nothing.
+
+    With validation logs, these join the estimation; ``again`` is the command for this, which may be empty. ``bench``:
+    whether the model is that of a thruster on a bench.
+    """
+    of, runs = ("this thruster on the bench", "tests") if bench else ("the boat", "runs")
+    if diagnosis.cross_validated:
+        return f"Give all logs of {of} as logs of the estimation; if there are no others, record longer {runs}."
+    command = f": `{again}`" if again else ""
+    return (
+        f"Next, diagnose all logs of {of} together, without --validate{command}. An effect is then fitted to all of "
+        f"them, and each block of time is predicted by a fit to the others. If this adds nothing either, record longer "
+        f"{runs}."
+    )
+
+
+def _two_velocities_sentence(name: str) -> str:
+    """Return the sentence on the meaning of a force of two velocities, with a space before it; "" for others.
+
+    ``name`` is that of the strongest candidate, such as ``N(v, r)``.
+    """
+    if re.fullmatch(r"[XYN]\([uvr], [uvr]\)", name) is None:
+        return ""
+    return f" What an unexplained {name} means, and what to do: documentation, Theory, Diagnosis, section 11."
+
+
+def command_without_validation(command: str) -> str:
+    """Return the command of a diagnosis whose validation logs join the estimation, as text for reports.
+
+    Parameters
+    ----------
+    command : str
+        Command line of a diagnosis with ``--validate``.
+
+    Returns
+    -------
+    str
+        The command with the logs of ``--validate`` as further logs, and the folder ``--out`` with ``-all`` at its end
+        (``diagnosis-all`` by default). Empty if it is no such command, such as a call of Python.
+    """
+    words = command.split(" ")
+    if words[:3] != ["seatrial", "ident", "diagnose"] or not any(w.split("=")[0] == "--validate" for w in words):
+        return ""
+    words = [w.removeprefix("--validate=") for w in words if w != "--validate"]
+    joined = " ".join(words)
+    if re.search(r" --out[ =]", joined) is None:
+        return f"{joined} --out diagnosis-all"
+    return re.sub(r"( --out[ =])(\S+?)/?(?= |$)", r"\1\2-all", joined)
 
 
 def _p_in_words(p: float) -> str:
@@ -491,27 +550,21 @@ def _p_in_words(p: float) -> str:
 def _nearest_effects(search_round: Round, strongest: str, bench: bool) -> str:
     """Return the sentences on the effects of the catalogue that come nearest in a round without an added effect.
 
-    The estimation data clearly support them (a criterion above `CLEAR_CRITERION`), and the validation data neither
-    support nor contradict them. The `MOST_NEAREST` effects with the largest t statistics of their validation are given,
-    with their sizes in the rough fits. If the candidate ``strongest`` of the score tests is not among them, a sentence
-    says why. For a model of the ``bench``, further logs are advised, because no fit takes its effects. The text ends
-    with a space; it is empty if no effect comes near.
+    The data support them, but the validation data alone neither support nor contradict them (`_is_near`). The
+    `MOST_NEAREST` effects with the largest t statistics of their validation are given, with their sizes in the rough
+    fits. If the candidate ``strongest`` of the score tests is not among them, a sentence says why. For a model of the
+    ``bench``, further logs are advised, because no fit takes its effects. The text ends with a space; it is empty if no
+    effect comes near.
     """
-    undecided = [
-        r
-        for r in search_round.refits
-        if not r.nonparametric
-        and r.outcome is Outcome.NOT_VALIDATED
-        and r.validation_gain > 0
-        and r.criterion > CLEAR_CRITERION
-    ]
+    undecided = [r for r in search_round.refits if _is_near(r) and not r.nonparametric]
     near = sorted(undecided, key=lambda r: -r.t)[:MOST_NEAREST]
     if not near:
         return ""
     sizes = [", ".join(filter(None, (sizes_in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
     each = [f"{r.effect.title} ({size})" for r, size in zip(near, sizes, strict=True)]
     options = " ".join(f"--effect {r.effect.name}" for r in near)
-    left_out = "" if strongest in {r.effect.name for r in near} else _why_not_near(search_round, strongest)
+    told = strongest in {r.effect.name for r in near} or _explains_only(search_round, strongest)
+    left_out = "" if told else _why_not_near(search_round, strongest)
     them = "them" if len(near) > 1 else "it"
     advice = f"`seatrial ident vehicle {options}` estimates {them} with the model."
     if bench:
@@ -523,6 +576,27 @@ def _nearest_effects(search_round: Round, strongest: str, bench: bool) -> str:
         else f"The effect that comes nearest is {each[0]}: the estimation data support it, and the validation data are "
         f"too few to decide. {advice} "
     ) + left_out
+
+
+def _explains_only(search_round: Round, name: str) -> bool:
+    """Return whether `Round.explanation` is about a candidate, with which the prediction is no better.
+
+    ``name`` is the name of the candidate's score.
+    """
+    no_better = Outcome.NO_BETTER_PREDICTION
+    first = next((r for r in search_round.refits if r.outcome is no_better), None)
+    return search_round.outcome is no_better and first is not None and first is _refit_of(search_round.refits, name)
+
+
+def _is_near(r: Refit) -> bool:
+    """Return whether the data support an effect, and the validation data alone are too few to decide.
+
+    Its criterion is positive, the log-likelihood of the validation data rises with it, and the criterion of all data,
+    with twice this rise, is above `CLEAR_CRITERION`. The criterion of the estimation data alone would leave out an
+    effect with many parameters that predicts the validation data better than others.
+    """
+    supported = r.criterion > 0 and r.validation_gain > 0
+    return r.outcome is Outcome.NOT_VALIDATED and supported and r.criterion + 2.0 * r.validation_gain > CLEAR_CRITERION
 
 
 def _removal(removed: RemovedEffect, diagnosis: Diagnosis) -> str:
@@ -560,7 +634,8 @@ def _last_refit(diagnosis: Diagnosis, name: str) -> Refit | None:
 def _strongest_left_out(diagnosis: Diagnosis) -> str:
     """Return the sentence why the strongest remaining candidate that was fitted is not in the model; "" without one.
 
-    Candidates whose fit is noise (`_is_noise`) are not named.
+    Candidates whose fit is noise (`_is_noise`) are not named. If the reason why none was added (`_why_not_added`) names
+    the strongest, the text is empty too.
     """
     removed, begin = {r.effect.name: r for r in diagnosis.removed}, "Of those that were fitted"
     for s in diagnosis.remaining:
@@ -569,6 +644,8 @@ def _strongest_left_out(diagnosis: Diagnosis) -> str:
             if _is_noise(refit, refit.validation_gain if gone is None else gone.validation_gain):
                 begin = "Of those that were fitted with a clear size and gain"
                 continue
+            if gone is None and _explains_only(diagnosis.rounds[-1], s.name):
+                return ""  # the reason why none was added is about it
             size = sizes_in_words(refit.effect, refit.fitted)
             why = _refit_clause(refit) if gone is None else f"it was removed again: {_removal(gone, diagnosis)}"
             title = f"{candidate_title(s.name)}{f' ({size})' * bool(size)}"
@@ -600,7 +677,7 @@ def _why_not_near(search_round: Round, name: str) -> str:
     r = _refit_of(search_round.refits, name)
     if r is None:
         why = "it was not fitted in this round"
-    elif r.outcome is Outcome.NOT_VALIDATED and r.validation_gain > 0 and r.criterion > CLEAR_CRITERION:
+    elif _is_near(r):
         why = f"its t is smaller, {r.t:.1f}" if not r.nonparametric else "it is a curve without a formula"
     else:
         why = _refit_clause(r)
@@ -920,6 +997,8 @@ def diagnosis_caveat(diagnosis: Diagnosis, *, bench: bool = False) -> str | None
         )
     elif diagnosis.effects and diagnosis.remaining and not doubted:
         sentences += _remaining_sentences(diagnosis, bench)
+    if sentences and diagnosis.remaining and (meaning := _two_velocities_sentence(diagnosis.remaining[0].name)):
+        sentences.append(meaning.strip())
     return " ".join(sentences) or None
 
 
@@ -1114,7 +1193,10 @@ def _effect_rows(diagnosis: Diagnosis, role: Role) -> tuple[parts.EffectRow, ...
                 causes=e.causes,
                 alternatives=tuple(
                     parts.Alternative(
-                        name=q.effect.name, title=q.effect.title, criterion_behind=r.criterion - q.criterion
+                        name=q.effect.name,
+                        title=q.effect.title,
+                        criterion_behind=r.criterion - q.criterion,
+                        why_not=_why_not_chosen(q) if q.criterion > r.criterion else "",
                     )
                     for q in rounds[e.name].refits
                     if q is not r
@@ -1131,6 +1213,20 @@ def _effect_rows(diagnosis: Diagnosis, role: Role) -> tuple[parts.EffectRow, ...
             )
         )
     return tuple(rows)
+
+
+def _why_not_chosen(q: Refit) -> str:
+    """Return a clause: why a refit was not chosen in its round, although its criterion is larger than the chosen one's.
+
+    The criterion judges the estimation data only.
+    """
+    reasons = {
+        Outcome.NOT_VALIDATED: "the validation data do not support it sufficiently",
+        Outcome.WORSE_PREDICTION: "the prediction is worse with it",
+        Outcome.NO_BETTER_PREDICTION: "the prediction is no better with it",
+    }
+    preferred = "it is a curve, and an effect with a formula is preferred"
+    return reasons.get(q.outcome, preferred if q.nonparametric else "its prediction errors are larger")
 
 
 def _name_probability(diagnosis: Diagnosis, attribution: str) -> float | None:
@@ -1368,7 +1464,11 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
                 "These candidates pass the score test of the model without effects, but none of them is in the model: "
                 f"{_remaining_names(diagnosis)}."
             )
-    if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
+    last = diagnosis.rounds[-1] if diagnosis.rounds else None
+    # A reason for ambiguity says already that the prediction is no better with this candidate.
+    doubts = [j.competitor for j in diagnosis.attributions if j.attribution == "ambiguous" and j.competitor]
+    told = any(is_no_better_prediction(name, diagnosis.rounds) for name in doubts)
+    if diagnosis.effects and last is not None and last.chosen is None and not told:
         why = diagnosis.rounds[-1].explanation
         notes.append(f"{why[0].upper()}{why[1:]}.")
     notes += [f"{r.effect.title} was added and removed again: {_removal(r, diagnosis)}." for r in diagnosis.removed]

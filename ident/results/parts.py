@@ -1181,6 +1181,10 @@ class Alternative(Part, frozen=True, kw_only=True):
     name: Annotated[str, Meta(description="name of the competing effect")]
     title: Annotated[str, Meta(description="title for readers")]
     criterion_behind: Annotated[float, Meta(description="criterion of the chosen effect less that of this one")]
+    why_not: Annotated[
+        str,
+        Meta(description="why it was not chosen although its criterion is larger; empty: it is not, or an older file"),
+    ] = ""
 
 
 class EffectRow(Part, frozen=True, kw_only=True):

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +14,7 @@ from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, pars
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.daq.files import require_new, require_parent
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
-from seatrial.ident.effects import catalogue, is_special_case
+from seatrial.ident.effects import catalogue, is_special_case, separating_experiment
 from seatrial.ident.estimation import (
     RefittedEffect,
     SavedModel,
@@ -54,8 +55,9 @@ from seatrial.ident.experiment_design import (
     prior_from_fit,
     probability_of_true_model,
     reason_without_mission,
+    reliable_duration,
     row_spacing,
-    separation,
+    separation_if_repeated,
 )
 from seatrial.ident.model import Effect, Model, Parameter
 from seatrial.ident.models import effect_for, make_model
@@ -83,16 +85,15 @@ N_SHOWN = 24  # sampled tracks on the page
 # Words of the phases of a design, and of one that distinguishes two effects, as their progress has them
 PHASES = (
     *("reading the model", "time constants", "compiling the model", "simulations"),
-    *("baseline signals", "Monte Carlo", "track"),
+    *("with random sequences", "Monte Carlo", "track"),
 )
 APART_PHASES = (
     *("reading the model", "time constants", "compiling the model", "compiling both models", "search", "refits"),
-    *("random missions,", "baseline signals", "track"),
+    *("run twice", "with random sequences", "track"),
 )
-N_RANDOM = 8  # random missions that a discriminating mission is compared with
+LONGEST_S = 3600.0  # s: a mission to distinguish two effects that would have to be longer is not recommended
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
-LARGEST_SHARE = 0.999  # largest probability that is shown; models are not exact enough for more
 NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below it is taken as not found
 
 
@@ -220,7 +221,7 @@ def make_design(
                 f"{search_state(merit, f'{request.criterion} {merit:.2f}')} ({left.text(n, n * of / number)})"
             ),
         )
-    reporter.progress("design: baseline signals")
+    reporter.progress("design: comparison with random sequences")
     found = baseline_signals(task, seed=request.seed)
     samples = None
     if apart is None:
@@ -230,6 +231,7 @@ def make_design(
     else:  # by the criterion of the search
         first, second = compared
         found = baselines_apart(first.model, second.model, task, found)
+        apart = msgspec.structs.replace(apart, random=np.concatenate([signal.values for signal in found.values()]))
     reporter.progress("design: track")
     track, unbounded = _bounded_track(made)
     best = max(found, key=lambda k: found[k].value)
@@ -329,8 +331,9 @@ def _design_warnings(made: Design) -> list[ResultWarning]:
         warnings.append(ResultWarning(code="rates-assumed", text=text))
     if beyond := beyond_validity(made):
         text = (
-            f"The mission leaves the range of the data that the model was fitted to: {'; '.join(beyond)}. Outside, the "
-            "track and the errors are extrapolated. --n-max or --max-speed keeps the mission closer to that range."
+            f"The mission goes beyond the data that the model was fitted to: {'; '.join(beyond)}. The model is not "
+            "tested there: the boat may move faster and farther than predicted, and the promised numbers may not hold. "
+            f"{options_within_validity(made)}, or leave more room around the track."
         )
         warnings.append(ResultWarning(code="beyond-validity", text=text))
     return warnings
@@ -372,8 +375,27 @@ def beyond_validity(made: Design) -> list[str]:
         least, most = reached[name]
         if leaves_validity(least, most, (low, high)):
             there = f"{low:.2g} to {high:.2g}{units[name]}"
-            found.append(f"{name} {least:.2g} to {most:.2g}{units[name]} (fitted on {there})")
+            found.append(f"{name} from {least:.2g} to {most:.2g}{units[name]} (data: {there})")
     return found
+
+
+def options_within_validity(made: Design) -> str:
+    """Return the advice for a mission closer to the fitted data, without a full stop: ``... give --n-max 0.78``.
+
+    The largest command is that of the thruster with the smallest range of its commands or shaft speeds, the speed is
+    the largest surge speed in the data; both are rounded down to two digits. Without known ranges, the options have no
+    numbers.
+    """
+    model, known = made.problem.model, made.problem.validity
+    channels = made.problem.actuation.channels
+    commanded = [i.name for i in model.inputs if i.name.endswith(channels) and not i.unit]
+    sizes = [max(map(abs, known[name])) for name in commanded if name in known]
+    speeds = [max(map(abs, known[s.name])) for s in model.states if s.name == "u" and s.name in known]
+    limits = [
+        f"--n-max {np.floor(100.0 * min(sizes)) / 100.0:.2g}" if sizes else "a smaller --n-max",
+        *(f"--max-speed {np.floor(100.0 * v) / 100.0:.2g}" for v in speeds),
+    ]
+    return f"To stay nearer to the data, give {' or '.join(limits)}"
 
 
 def designed_mission(
@@ -561,9 +583,9 @@ def _discrimination_design(
 
     The search has an eighth of the ``evaluations`` of the request, but at least 500. The first result is the mission as
     a design. Its value is the criterion of the parameters, so that its page is that of any design. The second result
-    has the separation T of the two effects by this mission, with either effect as the true one, and the smaller T of
-    each of `N_RANDOM` random missions. T is the expected value of twice the log-likelihood ratio of the true model
-    against the wrong model.
+    has the separation T of the two effects by this mission, with either effect as the true one, and, if one of both is
+    too small, the smaller T of the mission run twice. T is the expected value of twice the log-likelihood ratio of the
+    true model against the wrong model. The T of random sequences are missing.
     """
     a, b = (h.model for h in compared)
     total = max(request.evaluations // 8, 500)
@@ -576,7 +598,7 @@ def _discrimination_design(
         progress=lambda n, merit, number, of: reporter.progress(
             f"design: {n} of about {total} comparisons, search {number} of {of}, "
             f"{search_state(merit, f'separation of the two effects (T) {_separation_text(merit)}')} "
-            f"({left.text(n, n * of / number)}, then the comparison with {N_RANDOM} random missions)"
+            f"({left.text(n, n * of / number)}, then random sequences for comparison)"
         ),
         phase=lambda words: reporter.progress(f"design: {words}"),
     )
@@ -584,22 +606,20 @@ def _discrimination_design(
     evaluator = DesignEvaluator(task)
     information = evaluator.information(task.actuation.inputs(made.command[:, :, None]))
     value = float(evaluator.criterion(information + evaluator.prior_information)[0])
-    rng = np.random.default_rng([request.seed, 31])
-    random = [task.commands(z)[:, :, 0] for z in task.steps.random(N_RANDOM, rng)[:, None]]
-    random_criteria, left = list[float](), TimeLeft(N_RANDOM)
-    for k, command in enumerate(random):
-        to_go = f" ({left.text(k)})" if k else ""
-        reporter.progress(f"design: comparison with random missions, {k} of {N_RANDOM}{to_go}")
-        random_criteria.append(min(separation(a, b, task, command)))
+    twice: float | None = None
+    if not made.clear:
+        reporter.progress("design: the mission run twice")
+        twice = min(separation_if_repeated(a, b, task, made.command))
     first, second = (h.effect for h in compared)
     row = Discrimination(
         effects=(first, second),
         if_second=made.separation[0],
         if_first=made.separation[1],
         clear=made.clear,
-        random=np.array(random_criteria),
+        random=np.empty(0),
         probability=float(np.mean([probability_of_true_model(T) for T in made.separation])),
         sizes=tuple(_size_row(h) for h in compared),
+        twice=twice,
     )
     return Design(task, made.levels, made.durations, value, information[0], made.found), row
 
@@ -812,11 +832,11 @@ def _design_answer(
         first, second = apart.effects
         least = min(apart.if_second, apart.if_first)
         verdict = "distinguishes" if apart.clear else "may not distinguish"
-        advice = "" if apart.clear else f"; T should be above {RELIABLE_T:g}: give a longer --duration"
         answer = (
-            f"This mission {verdict} {first} from {second}: criterion T is at least {format_number(least)} "
-            f"(random missions: {format_number(float(np.median(apart.random)))}){advice}"
-            f"{_random_missions_sentence(apart, made.problem.limits.bind)}"
+            f"This mission {verdict} {first} from {second}: criterion T is at least {format_number(least)} (best of "
+            f"{apart.random.size} random sequences: {format_number(baseline.value)})"
+            f"{'' if apart.clear else longer_mission_advice(apart, made.problem.steps.duration)}"
+            f"{_random_sequences_sentence(apart, made.problem.limits.bind)}"
         )
         worse = baseline.value > least
         return f"{answer}. {warn_worse_than_baseline(baseline, made.problem, 'T', least)}" if worse else answer
@@ -835,31 +855,55 @@ def _design_answer(
     return f"{warn_worse_than_baseline(baseline, made.problem, made.problem.criterion, made.value)} {errors}"
 
 
-def _random_missions_sentence(apart: Discrimination, limited: bool) -> str:
-    """Return a sentence that random missions distinguish the two effects already, with a full stop and a space before.
+def longer_mission_advice(apart: Discrimination, duration: float) -> str:
+    """Return what to do if a mission may not distinguish two effects, as a clause after a semicolon, without full stop.
 
-    It is stated if both the designed mission and the median random mission have a reliable T. Otherwise the text is
-    empty. ``limited``: whether the design had limits, which random missions ignore.
+    The advice is the least duration of a mission that distinguishes them, if it is at most an hour (`LONGEST_S`).
+    Otherwise the text says that no mission does, and what else may.
+
+    Parameters
+    ----------
+    apart : Discrimination
+        Discrimination of the two effects, with the criterion T of the mission run once and twice.
+    duration : float
+        Duration of the mission [s].
+    """
+    first, second = apart.effects
+    least = min(apart.if_second, apart.if_first)
+    begin = f"; T should be above {RELIABLE_T:g}"
+    if apart.twice is None:
+        return f"{begin}: give a longer --duration"
+    grown = f"the same mission run twice has a T of {format_number(apart.twice)}"
+    needed = reliable_duration(least, apart.twice, duration)
+    if needed <= LONGEST_S:
+        longer = 10.0 * np.ceil(needed / 10.0)
+        return f"{begin}, and {grown}: give --duration {longer:.0f} ({longer / 60.0:.0f} min) or more"
+    instead = separating_experiment(first, second)
+    instead = f"What distinguishes them is this: {instead}" if instead else (
+        "Other conditions may: a day on which one of them is larger or absent, or a measurement of one of them"
+    )  # fmt: skip
+    return f"{begin}, but {grown}, so that even an hour of such missions is not enough. {instead}"
+
+
+def _random_sequences_sentence(apart: Discrimination, limited: bool) -> str:
+    """Return a sentence that random sequences distinguish the two effects already, with a full stop and a space before.
+
+    It is stated if both the designed mission and the median random sequence have a reliable T. Otherwise the text is
+    empty. ``limited``: whether the design had limits, which random sequences ignore.
     """
     median = float(np.median(apart.random))
     if not apart.clear or not median > RELIABLE_T:
         return ""
     ignoring = " (which ignore the limits)" if limited else ""
     return (
-        f". Random missions of the same length{ignoring} already distinguish them: T is above {RELIABLE_T:g} in "
-        f"{int(np.sum(apart.random > RELIABLE_T))} of {len(apart.random)}, and the median one prefers the true effect "
-        f"with a probability of {_share_text(probability_of_true_model(median))} if one of both explains the boat, so "
-        "that any mission with varied commands is likely to be enough"
+        f". Random sequences of the same length{ignoring} already distinguish them: T is above {RELIABLE_T:g} in "
+        f"{int(np.sum(apart.random > RELIABLE_T))} of {len(apart.random)}, so that any mission with varied commands is "
+        "likely to be enough"
     )
 
 
-def _share_text(probability: float) -> str:
-    """Return a probability as text in per cent; one that is larger than models are exact enough for as a bound."""
-    return f"{100 * probability:.1f} %" if probability < LARGEST_SHARE else f"more than {100 * LARGEST_SHARE:.1f} %"
-
-
 def _discrimination_lines(apart: Discrimination) -> list[str]:
-    """Return a line for the size of each effect of a discrimination, and one for the probability of the right choice.
+    """Return a line for the size of each effect of a discrimination, and one for the probability of a wrong choice.
 
     A line of a size has the origin of the size.
     """
@@ -873,8 +917,7 @@ def _discrimination_lines(apart: Discrimination) -> list[str]:
         origin = "fitted size" if row.origin == "fitted" else "typical size, since no fit has one"
         lines.append(f"  {row.effect} ({origin}): {', '.join(values)}")
     if apart.probability is not None:
-        share = _share_text(apart.probability)
-        lines.append(f"  If one of both explains the boat, the mission prefers it with a probability of {share}.")
+        lines.append(f"  {apart.wrong_choice}")
     return lines
 
 
@@ -886,7 +929,7 @@ def warn_worse_than_baseline(baseline: BaselineSignal, problem: DesignProblem, c
     Parameters
     ----------
     baseline : BaselineSignal
-        Best of 20 random sequences.
+        Best of the random sequences.
     problem : DesignProblem
         The design problem, whose limits the advice names.
     criterion : str
@@ -909,8 +952,8 @@ def warn_worse_than_baseline(baseline: BaselineSignal, problem: DesignProblem, c
         else " If that changes little, give other --steps or a longer --duration."
     )
     return (
-        f"{begin}: the {criterion} criterion of the mission is {format_number(value)}, the best of 20 {baseline.kind} "
-        f"has {format_number(baseline.value)}. "
+        f"{begin}: the {criterion} criterion of the mission is {format_number(value)}, that of the best random "
+        f"sequence (a {baseline.kind}) {format_number(baseline.value)}. "
         f"Repeat the design with twice the --evaluations.{keep}"
     )
 
@@ -931,19 +974,22 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     lines = [*(f"⚠ {warning.text}" for warning in result.warnings), result.answer, ""]
     if result.apart is not None:
         lines += [*_discrimination_lines(result.apart), ""]
+    if result.parameters:
+        lines.append("  value ± standard error before -> after this mission (after the best random sequence)")
     for p in result.parameters:
         before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))
-        lines.append(
-            f"  {p.name:<8} {p.value:10.4g} {typeset_unit(p.unit):<8} ± {before:>8} -> {after}"
-            f"   ({result.baseline}: {baseline})"
-        )
+        lines.append(f"  {p.name:<8} {p.value:10.4g} {typeset_unit(p.unit):<8} ± {before:>8} -> {after}   ({baseline})")
     lines.append("")
-    free = " (which ignore the limits)" if result.limited else ""
-    gain = f"{result.margin:+.1f} against the best of 20 {result.baseline}{free}"
+    if result.other_parameters:
+        lines += [result.other_parameters, ""]
+    free = ", which ignore the limits" if result.limited else ""
+    best = result.value - result.margin
+    gain = f"best of {result.random_sequences}{free}: {best:.1f}"
     won = ""
     if result.share_won is not None:
-        won = f"; better than all of them in {100 * result.share_won:.1f} % of 1000 parameter samples"
-    lines.append(f"{result.criterion} {result.value:.1f}, {gain}{won}")
+        share = f"{100 * result.share_won:.1f} % of 1000 parameter samples"
+        won = f"; the design is better than the best PRBS and RGS in {share}"
+    lines.append(f"{result.criterion} {result.value:.1f}; {gain}{won}")
     track = result.track
     if track is not None and track.inside is not None:
         water = f"in a current of up to {track.current:g} m/s" if track.current else "no current assumed"

@@ -85,5 +85,11 @@ EFFECT = Effect(
     experiment="drifting without thrust on several headings, and straight runs on opposite headings",
     requires=("hull",),
     alternatives=("steady-pull", "steady-force", "current-drift", "heading-moment", "mount"),
+    # With w_x near 1, a small k_air and no lever arms, wind is a steady pull: on data of a pull it fits as well.
+    separated_by={
+        "steady-pull": "measure the wind (an anemometer, or a weather station for a run of the past; its direction has "
+        "to agree with that of the force), or record a further run in calm air or on a day with another wind: the "
+        "force of wind then changes, and that of another cause does not"
+    },
     in_words=force,
 )

@@ -114,14 +114,16 @@ def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: floa
     )
 
 
-def _criterion_in_words(criterion: float) -> str:
+def _criterion_in_words(criterion: float, why_not: str) -> str:
     """Return by how much the criterion (ΔBIC) of a competing model is worse, as text: ``12 worse``.
 
     ``criterion`` is that of the added effect minus that of the competing model. If it is negative, the text is ``12
-    better, but worse on the validation data``.
+    better on the estimation data, but ...`` with the reason ``why_not`` why the competing model was not chosen, if it
+    is known.
     """
-    if criterion < 0:  # the effect was still preferred, because validation data do not support the competing model
-        return f"{formatting.plain(-criterion)} better, but worse on the validation data"
+    if criterion < 0:
+        reason = f", but {why_not}" if why_not else ""
+        return f"{formatting.plain(-criterion)} better on the estimation data{reason}"
     return f"{formatting.plain(criterion)} worse"
 
 
@@ -140,7 +142,7 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
     parameters = []
     for row in effect.parameters:
         parameters.append((row.name, formatting.estimate_of_effect(row), row.meaning))
-    alternatives = [f"{row.name} ({_criterion_in_words(row.criterion_behind)})" for row in effect.alternatives]
+    alternatives = [f"{a.name} ({_criterion_in_words(a.criterion_behind, a.why_not)})" for a in effect.alternatives]
     facts = (
         ("In words", effect.in_words),
         ("Acts on", effect.place),

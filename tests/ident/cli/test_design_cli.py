@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import seatrial as st
 from seatrial import command_line
@@ -23,16 +24,24 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import SavedModel, load_model
 from seatrial.ident.estimation.refitted_effect import RefittedEffect
 from seatrial.ident.experiment_design.criteria import SINGULAR
-from seatrial.ident.experiment_design.discrimination import DiscriminationDesign
+from seatrial.ident.experiment_design.discrimination import (
+    DiscriminationDesign,
+    reliable_duration,
+    separation,
+    separation_if_repeated,
+)
 from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits, DesignProblem
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.report import write_design_page
 from seatrial.ident.reporter import QUIET, TimeLeft
-from seatrial.ident.results import Discrimination
+from seatrial.ident.results import DesignResult, Discrimination, read_result
 from seatrial.ident.workflows.design import (
+    APART_PHASES,
     DesignRequest,
     _design_answer,
+    _design_warnings,
     design_summary,
     hypotheses,
     make_design,
@@ -88,7 +97,7 @@ def test_designed_mission_is_read_by_the_bench_and_shown(
         "compiling",
         "8 steps",
         "simulations",
-        "baseline",
+        "random sequences",
         "Monte",
         "track",
     )
@@ -160,7 +169,9 @@ def test_each_phase_of_a_design_has_the_time_so_far(tmp_path: Path) -> None:
     reporter: Any = SimpleNamespace(progress=progress, warning=print)
     request = DesignRequest(duration=40.0, steps=8, evaluations=60)
     make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
-    assert {"design: reading the model", "design: baseline signals", "design: track"} <= {text for _, text in lines}
+    assert {"design: reading the model", "design: comparison with random sequences", "design: track"} <= {
+        text for _, text in lines
+    }
     found = [re.fullmatch(r"\d+:\d\d so far, phase (\d) of 7", times) for times, _ in lines]
     phases = [int(match[1]) for match in found if match is not None]
     assert len(phases) == len(lines)
@@ -183,7 +194,7 @@ def test_progress_with_few_simulations_counts_the_searches_that_follow(
 def test_progress_of_a_discrimination_has_the_time_to_go_of_each_phase(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After the search, nine comparisons follow, which may take longer than the search itself."""
+    """All comparisons with random commands are with the same sequences, PRBS and RGS."""
     lines = list[str]()
     reporter: Any = SimpleNamespace(progress=lambda text, _: lines.append(text), warning=lines.append)
 
@@ -195,21 +206,26 @@ def test_progress_of_a_discrimination_has_the_time_to_go_of_each_phase(
         return DiscriminationDesign(task, levels, durations, (50.0, 60.0), result)
 
     monkeypatch.setattr("seatrial.ident.workflows.design.discriminate", found_at_once)
-    monkeypatch.setattr("seatrial.ident.workflows.design.separation", lambda *_: (30.0, 40.0))
     request = DesignRequest(duration=20.0, steps=6, between=("delay", "lag"))
     result = make_design("horizontal:shaft:no-current", request, tmp_path / "m.toml", "", reporter)
     assert (result.criterion, result.value, result.share_won, result.samples) == ("T", 50.0, None, {})
     page = (tmp_path / "m.html").read_text(encoding="utf-8")
     assert "<dt>criterion T</dt><dd>50.00</dd>" in page
     assert "of the samples" not in page
-    assert any(re.match(r"T 50\.0, [-+][\d.]+ against the best of 20 (PRBS|RGS)$", x) for x in design_summary(result))
+    sequences = r"best of 40 random sequences \(20 PRBS, 20 RGS\)"
+    (last,) = [found for x in design_summary(result) if (found := re.match(rf"T 50\.0; {sequences}: ([\d.]+)$", x))]
+    assert result.apart is not None
+    assert result.apart.random.size == 40
+    assert float(last[1]) == pytest.approx(result.apart.random.max(), abs=0.05)
+    assert re.search(rf"<dt>{sequences}</dt>", page)
+    assert "(best of 40 random sequences: " in result.answer
+    assert not any(
+        "random missions" in text or "best of 20" in text for text in (page, *lines, *design_summary(result))
+    )
     (search,) = [line for line in lines if "comparisons, search" in line]
-    assert re.search(r"\(\d+ (s|min) to go, then the comparison with 8 random missions\)$", search)
-    random = [line for line in lines if "random missions, " in line]
-    assert [re.sub(r"\(\d+ s", "(_ s", line) for line in random] == [
-        "design: comparison with random missions, 0 of 8",
-        *(f"design: comparison with random missions, {k} of 8 (_ s to go)" for k in range(1, 8)),
-    ]
+    assert re.search(r"\(\d+ (s|min) to go, then random sequences for comparison\)$", search)
+    assert not any(words in search for words in APART_PHASES[5:])  # the phase would be a later one
+    assert lines.count("design: comparison with random sequences") == 1
 
 
 def test_progress_has_no_criterion_while_a_limit_is_violated(tmp_path: Path) -> None:
@@ -264,7 +280,9 @@ def test_a_design_that_is_worse_says_what_to_do(limits: DesignLimits, advice: st
     text = warn_worse_than_baseline(baseline, problem, "D", 60.0)
     begin = "A random sequence that ignores the limits is better than the designed mission, which keeps them"
     begin = begin if limits.bind else "The designed mission is worse than a random sequence"
-    assert text.startswith(f"{begin}: the D criterion of the mission is 60, the best of 20 PRBS has 63. Repeat ")
+    assert text.startswith(
+        f"{begin}: the D criterion of the mission is 60, that of the best random sequence (a PRBS) 63. "
+    )
     assert text.endswith(advice)
 
 
@@ -394,13 +412,13 @@ def test_discrimination_between_two_effects(tmp_path: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(
     ("random", "clear", "limited", "words"),
     [
-        ([20.0, 31.0, 33.0, 90.0], True, False, "T is above 30 in 3 of 4, and the median one prefers the true effect"),
-        ([20.0, 31.0, 33.0, 90.0], True, True, "Random missions of the same length (which ignore the limits) already"),
+        ([20.0, 31.0, 33.0, 90.0], True, False, "T is above 30 in 3 of 4, so that any mission with varied"),
+        ([20.0, 31.0, 33.0, 90.0], True, True, "Random sequences of the same length (which ignore the limits) already"),
         ([5.0, 10.0, 25.0, 90.0], True, False, ""),
         ([20.0, 31.0, 33.0, 90.0], False, True, ""),
     ],
 )
-def test_a_discrimination_says_that_random_missions_are_enough(
+def test_a_discrimination_says_that_random_sequences_are_enough(
     random: list[float], clear: bool, limited: bool, words: str
 ) -> None:
     """The answer did not say that the designed mission is not needed."""
@@ -408,17 +426,117 @@ def test_a_discrimination_says_that_random_missions_are_enough(
         effects=("delay", "lag"), if_second=200.0, if_first=150.0, clear=clear, random=np.array(random)
     )
     limits = DesignLimits(area=(60.0, 40.0)) if limited else DesignLimits()
-    made: Any = SimpleNamespace(problem=SimpleNamespace(limits=limits))
+    made: Any = SimpleNamespace(problem=SimpleNamespace(limits=limits, steps=SimpleNamespace(duration=60.0)))
     baseline: Any = SimpleNamespace(value=90.0, kind="PRBS")
     answer = _design_answer(made, [], apart, baseline)
     assert "worse than" not in answer
     baseline.value = 190.0  # T, as that of the design
     worse = "A random sequence that ignores the limits is better than" if limited else "The designed mission is worse"
-    assert _design_answer(made, [], apart, baseline).startswith(f"{answer}. {worse}")
-    assert ": the T criterion of the mission is 150, the best of 20 PRBS" in _design_answer(made, [], apart, baseline)
+    same = answer.replace("sequences: 90)", "sequences: 190)")
+    assert _design_answer(made, [], apart, baseline).startswith(f"{same}. {worse}")
+    assert ": the T criterion of the mission is 150, that of the best random" in _design_answer(
+        made, [], apart, baseline
+    )
     assert words in answer
     assert ("already distinguish them" in answer) == bool(words)
-    assert ("with a probability of 99.8 % if one of both" in answer) == bool(words)
+
+
+@pytest.mark.parametrize(
+    ("effects", "twice", "said"),
+    [
+        (("delay", "lag"), 10.0, "the same mission run twice has a T of 10: give --duration 1560 (26 min) or more"),
+        (("delay", "lag"), 5.5, "so that even an hour of such missions is not enough. Other conditions may: a day on"),
+        (("delay", "lag"), 5.0, "so that even an hour of such missions is not enough."),
+        (("wind", "steady-pull"), 5.5, "not enough. What distinguishes them is this: measure the wind (an anemom"),
+    ],
+)
+def test_a_mission_that_is_too_short_says_how_long_it_should_be(
+    effects: tuple[str, str], twice: float, said: str
+) -> None:
+    """The advice was a longer duration, though T hardly grew with it: wind can imitate a steady pull."""
+    apart = Discrimination(
+        effects=effects, if_second=5.0, if_first=13.0, clear=False, random=np.array([4.0, 4.8]), twice=twice
+    )
+    made: Any = SimpleNamespace(problem=SimpleNamespace(limits=DesignLimits(), steps=SimpleNamespace(duration=260.0)))
+    baseline: Any = SimpleNamespace(value=4.8, kind="RGS")
+    answer = _design_answer(made, [], apart, baseline)
+    begin = f"This mission may not distinguish {effects[0]} from {effects[1]}: criterion T is at least 5.0 (best of"
+    assert answer.startswith(f"{begin} 2 random sequences: 4.8); T should be above 30, ")
+    assert said in answer
+
+
+def test_T_of_a_mission_that_is_run_twice_is_that_of_the_longer_mission() -> None:
+    """In proportion to the duration, if neither effect can imitate the other."""
+    request = DesignRequest(duration=20.0, steps=6, between=("delay", "lag"))
+    task, compared = make_task("horizontal:shaft:no-current", request)
+    a, b = (h.model for h in compared)
+    command = task.commands(task.steps.random(1, np.random.default_rng(1)))[:, :, 0]
+    once, twice = separation(a, b, task, command), separation_if_repeated(a, b, task, command)
+    assert np.array(twice) / np.array(once) == pytest.approx([2.0, 2.0], rel=0.4)
+    assert reliable_duration(10.0, 20.0, 100.0) == pytest.approx(300.0)
+    assert reliable_duration(40.0, 80.0, 100.0) == 100.0
+    assert reliable_duration(10.0, 10.0, 100.0) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("probability", "share"), [(0.889, "of 11.1 % (guessing: 50 %"), (0.99999, "of less than 0.1 % (guessing")]
+)
+def test_the_probability_is_that_of_the_wrong_effect(probability: float, share: str) -> None:
+    """ "The mission prefers it with a probability of 88.9 %" was read as if it were a good mission."""
+    apart = Discrimination(
+        effects=("delay", "lag"), if_second=3.0, if_first=9.0, clear=False, random=np.empty(0), probability=probability
+    )
+    assert f"a fit to this mission prefers the wrong one with a probability {share}" in apart.wrong_choice
+    assert structs.replace(apart, probability=None).wrong_choice == ""
+
+
+def test_a_mission_for_two_effects_says_that_it_informs_less_about_parameters(designed: tuple[Path, str, str]) -> None:
+    """Nearly all standard errors were larger than those after a random sequence, without a word about it."""
+    result = read_result(designed[0].with_suffix(".json"))
+    assert isinstance(result, DesignResult)
+    assert result.other_parameters == ""  # a design for all parameters
+    first, second = result.parameters[:2]
+    rows = (
+        structs.replace(first, after=3.2, baseline=1.5, chosen=True),
+        structs.replace(second, after=1.0, baseline=1.5, chosen=True),
+    )
+    apart = Discrimination(effects=("delay", "lag"), if_second=50.0, if_first=50.0, clear=True, random=np.empty(0))
+    of_two = structs.replace(result, parameters=rows, apart=apart)
+    said = "designed to distinguish delay from lag. It can inform less about other parameters than a random sequence: 1"
+    for text in (of_two.other_parameters, " ".join(design_summary(of_two))):
+        assert f"{said} of 2 standard errors are larger, that of {first.name} 2.1 times." in text
+    of_one = structs.replace(
+        result, parameters=(structs.replace(rows[0], chosen=False), rows[1]), chosen=(second.name,)
+    )
+    assert f"This mission is designed to inform about {second.name}. It" in of_one.other_parameters
+    write_design_page(of_two, designed[0].with_name("two.html"))
+    assert "1 of 2 standard errors are larger" in designed[0].with_name("two.html").read_text(encoding="utf-8").replace(
+        "\u00a0", " "
+    )
+
+
+def test_a_mission_beyond_the_data_says_what_follows_and_the_limits_that_prevent_it(fitted: Path) -> None:
+    """The warning named the option without its value."""
+    task, _ = make_task(str(fitted), DesignRequest(duration=20.0, steps=8))
+    narrow = {"n_left": (-0.4, 0.5), "n_right": (-0.45, 0.456), "u": (-0.2, 0.84)}
+    task = replace(task, validity=narrow)
+    levels, durations = (a[..., 0] for a in task.steps.unpack(np.ones((1, task.steps.size))))
+    made: Any = SimpleNamespace(
+        problem=task, command=task.actuation.limited(levels[:, :, None], durations[:, None])[:, :, 0]
+    )
+    (text,) = [w.text for w in _design_warnings(made) if w.code == "beyond-validity"]
+    assert text.startswith("The mission goes beyond the data that the model was fitted to: n_left from ")
+    assert "(data: -0.4 to 0.5)" in text
+    assert "the boat may move faster and farther than predicted, and the promised numbers may not hold." in text
+    assert text.endswith(
+        "To stay nearer to the data, give --n-max 0.45 or --max-speed 0.84, or leave more room around the track."
+    )
+
+
+def test_the_page_of_a_mission_begins_with_its_headline(designed: tuple[Path, str, str]) -> None:
+    """Warnings stood above it."""
+    page = designed[0].with_suffix(".html").read_text(encoding="utf-8")
+    assert page.index("</h1>") < page.index('class="callout warning"')
 
 
 def test_a_discrimination_says_before_the_search_how_long_it_takes(

@@ -10,7 +10,7 @@ import pytest
 
 from seatrial.ident.diagnosis.adequacy import competitor_of, reason_without_experiment, recommended_experiment
 from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution
-from seatrial.ident.effects import catalogue, nonparametric_effect
+from seatrial.ident.effects import catalogue, nonparametric_effect, separating_experiment
 from seatrial.ident.model import Effect, EffectKind, ForceCurve
 from seatrial.ident.models import horizontal_model, with_disturbances
 from seatrial.ident.models.thruster import thruster_model
@@ -48,6 +48,33 @@ def test_a_mission_is_recommended_only_for_effects_that_its_command_knows(
     command = f"`seatrial mission design MODEL --discriminate {effect.name},{competitor.name}` generates the mission; "
     assert (command in text) == has_command
     assert ("--discriminate" in text) == has_command
+
+
+@pytest.mark.parametrize("names", [("wind", "steady-pull"), ("steady-pull", "wind")])
+def test_no_mission_is_recommended_for_a_pair_that_none_distinguishes(names: tuple[str, str]) -> None:
+    """The design of the recommended mission took four minutes, and even an hour of such missions was not enough."""
+    effect, competitor = (catalogue()[name] for name in names)
+    text = recommended_experiment(ambiguous(effect, competitor))
+    assert text is not None
+    assert text.startswith(f"To distinguish {effect.title} from {competitor.name}: measure the wind (an anemometer, ")
+    assert text.endswith(" may not distinguish them, however long it is, because one can imitate the other.")
+    assert "--discriminate" not in text
+    left = [blank_score(name) for name in names]
+    before, sure = SimpleNamespace(model=horizontal_model()), [judged("identified")]
+    found = of(effects=("wind",), attributions=sure, remaining=left, before=before)
+    assert "--discriminate" not in reason_without_experiment(found)
+    found = of(effects=("wind",), attributions=sure, remaining=[*left, blank_score("lift")], before=before)
+    assert f"--discriminate {names[0]},lift`" in reason_without_experiment(found)
+
+
+def test_what_distinguishes_a_pair_is_stated_for_competing_effects_of_the_catalogue() -> None:
+    pairs = [(effect, other) for effect in catalogue().values() for other in effect.separated_by]
+    assert pairs
+    for effect, other in pairs:
+        assert other in effect.alternatives
+        assert effect.name in catalogue()[other].alternatives
+        assert separating_experiment(other, effect.name) == separating_experiment(effect.name, other) != ""
+    assert separating_experiment("delay", "lag") == separating_experiment("wind", "ghost") == ""
 
 
 def test_no_experiment_distinguishes_an_effect_from_its_special_case() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -13,6 +14,7 @@ import pytest
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.diagnosis import search
 from seatrial.ident.diagnosis.acceptance import is_immaterial, refit_outcome
+from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
 from seatrial.ident.diagnosis.common_errors import CommonErrorScore
 from seatrial.ident.diagnosis.findings import (
     CommonErrorsFit,
@@ -34,18 +36,22 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, validated_in_blocks
 from seatrial.ident.estimation.homogeneity import BETWEEN, ParameterShift
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
-from seatrial.ident.model.structure import Effect, EffectKind, EffectPrior, ForceCurve, Input
+from seatrial.ident.model.structure import Effect, EffectKind, EffectPrior, ForceCurve, Input, ModelKind
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.report.sections.answer import effect_card
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.results import parts
 from seatrial.ident.results.diagnosis import (
     GivenModel,
     _blocks_note,
+    _effect_rows,
     _mismatch_row,
     _notes,
     _quiet_round,
+    _two_velocities_sentence,
     _untested_warnings,
+    command_without_validation,
     diagnosis_answer,
     diagnosis_caveat,
     reported_mismatches,
@@ -394,7 +400,7 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
         replace(refit("wind", 30.0, gain=4.7, t=0.88), outcome=undecided),
         replace(refit("battery", 22.0, gain=4.3, t=1.72), outcome=undecided),
         replace(refit("contradicted", 20.0, gain=-1.0, t=-0.5), outcome=undecided),
-        replace(refit("weak", 9.0, gain=1.0, t=0.5), outcome=undecided),
+        replace(refit("weak", 9.0, gain=0.4, t=0.5), outcome=undecided),
     )
     found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, ("wind",), refits, None),), (), ())
     assert (
@@ -408,9 +414,99 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
     )
     none = replace(found, rounds=(replace(found.rounds[0], refits=refits[3:]),))
     assert "nearest" not in diagnosis_answer(none, None, 10.0)
-    assert "Give all logs of the boat first, as further logs of the estimation or with --validate; if" in (
-        diagnosis_answer(found, None, 10.0)
+
+
+def test_an_effect_with_many_parameters_is_near_if_all_data_support_it() -> None:
+    """Wind with six parameters had the largest t and gain on the validation data, and was not named."""
+    scores = (Score("N(v, r)", 91.0, 3, 46.0, {}, {}, threshold=22.0),)
+    fits = [refit("pull", 21.6, gain=4.5, t=0.93), refit("line", 15.9, gain=5.3, t=1.30)]
+    wind = refit("wind", 7.0, gain=9.2, t=1.43)
+    undecided = [replace(r, outcome=Outcome.NOT_VALIDATED) for r in (*fits, wind)]
+    found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, (), tuple(undecided), None),), (), ())
+    assert "nearest are wind (t = 1.4) and line (t = 1.3)" in diagnosis_answer(found, None, 10.0)
+    for changed in ({"criterion": -1.0}, {"validation_gain": 1.4}):
+        rest = replace(found.rounds[0], refits=(*undecided[:2], replace(undecided[2], **changed)))
+        assert "nearest are line (t = 1.3) and pull" in diagnosis_answer(replace(found, rounds=(rest,)), None, 10.0)
+
+
+def test_a_diagnosis_with_validation_that_adds_nothing_names_that_of_all_logs() -> None:
+    """The same logs without --validate gave an effect, and the answer advised --validate."""
+    scores = (Score("wind", 133.0, 1, 46.0, {}, {}, threshold=22.0),)
+    rejected = replace(refit("wind", 30.0, gain=4.7, t=0.9), outcome=Outcome.NOT_VALIDATED)
+    found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, (), (rejected,), None),), (), ())
+    command = "seatrial ident diagnose vehicle/model.toml 1.mcap 2.mcap --validate 3.mcap --out diagnosis"
+    again = command_without_validation(command)
+    assert again == "seatrial ident diagnose vehicle/model.toml 1.mcap 2.mcap 3.mcap --out diagnosis-all"
+    said = f"Next, diagnose all logs of the boat together, without --validate: `{again}`. An effect is then fitted to"
+    assert said in diagnosis_answer(found, None, 10.0, again=again)
+    assert "together, without --validate. An effect" in diagnosis_answer(found, None, 10.0)  # from Python
+    every = replace(found, after=blank(cross_validated=True))
+    answer = diagnosis_answer(every, None, 10.0)
+    assert "Give all logs of the boat as logs of the estimation; if there are no others, record longer runs." in answer
+    assert "without --validate:" not in answer
+
+
+@pytest.mark.parametrize(
+    ("command", "again"),
+    [
+        ("a.toml 1 --validate=2 --out=d --rate 5", "a.toml 1 2 --out=d-all --rate 5"),
+        ("a.toml --validate 2 --validate 3 1", "a.toml 2 3 1 --out diagnosis-all"),
+        ("a.toml 1 --out d/ --validate 2", "a.toml 1 --out d-all 2"),
+    ],
+)
+def test_the_logs_of_validation_join_the_others_in_the_next_command(command: str, again: str) -> None:
+    begin = "seatrial ident diagnose "
+    assert command_without_validation(f"{begin}{command}") == f"{begin}{again}"
+    assert command_without_validation(f"{begin}a.toml 1 --out d") == ""
+    assert command_without_validation("st.diagnose(fit, ['1.mcap'], validate=['2.mcap'])") == ""
+
+
+def test_a_curve_of_two_velocities_is_told_once_and_has_a_page() -> None:
+    """One answer said: may be the true cause, no better prediction, worse on the validation data."""
+    name, title = "N(v, r)", "a nonparametric effect: the yaw moment N depends on v, r"
+    curve = Effect(f"unknown {name}", title, {}, kind=EffectKind.NONPARAMETRIC)
+    score = Score(name, 200.0, 3, 91.0, {}, {}, threshold=22.0, curve=ForceCurve("N", "v", "r"))
+    of_curve = Refit(curve, blank(), 58.0, 3, 34.0, 14.0, 2.6, outcome=Outcome.NO_BETTER_PREDICTION)
+    found = Diagnosis(blank(), blank(cross_validated=False), (Round((score,), (), (of_curve,), None),), (), ())
+    answer = diagnosis_answer(found, None, 10.0)
+    said = (
+        f"no candidate improves the prediction: {title} explains a part of the residuals one step ahead (the "
+        "log-likelihood of the validation data rises by 14, t = 2.6), but the prediction is no better with it."
     )
+    page = f"What an unexplained {name} means, and what to do: documentation, Theory, Diagnosis, section 11."
+    assert said in answer
+    assert answer.endswith(page)
+    assert answer.count("no better") == answer.count("log-likelihood") == 1
+    assert "is not among them" not in answer
+    headings = (Path(__file__).parents[3] / "docs/theory/diagnosis.md").read_text(encoding="utf-8").splitlines()
+    assert any(line.startswith("## 11. ") and "two velocities" in line for line in headings)
+    wind = replace(refit("wind", 25.0, gain=30.0, t=2.3), fitted=blank(fit=blank(names=(), flags=())))
+    first = Round((), (), (replace(of_curve, outcome=Outcome.OUTRANKED), wind), wind)
+    (judged,) = assess_alternatives([first, found.rounds[0]], AttributionEvidence((score,), 1000))
+    assert judged.reasons[0].endswith("), which explains the estimation data and does not improve the prediction")
+    model = blank(parameters=(), outputs=(), values={}, inputs=(), kind=ModelKind.VEHICLE)
+    after = blank(fit=blank(flags=(), model=model, records=()), model=model)
+    weight = EffectImportance("wind", 900.0, 1.3, 50.0, 5.0)
+    beside = Diagnosis(
+        after, after, (first, found.rounds[0]), (score,), (), attributions=(judged,), importances=(weight,)
+    )
+    caveat = str(diagnosis_caveat(beside))
+    assert caveat.endswith(page)
+    assert "true cause" not in caveat
+    assert not any("no better" in note for note in _notes(beside, GivenModel("model.toml")))
+    certain = replace(beside, attributions=(EffectAttribution("wind", "identified"),))
+    assert str(diagnosis_caveat(certain)).count("no better") == 1
+    (row,) = _effect_rows(beside, "validation")
+    (rival,) = row.alternatives
+    assert rival.why_not == "it is a curve, and an effect with a formula is preferred"
+    card = str(dict(effect_card(row, 10.0).facts)["Fitted in its place, ΔBIC"])
+    assert card.replace("\u00a0", " ") == f"unknown {name} (9.00 better on the estimation data, but {rival.why_not})"
+
+
+def test_only_forces_of_two_velocities_have_the_page_on_them() -> None:
+    for name in ("N(v)", "N(n_diff)", "psi(u, r)", "N(past of u)", "wind"):
+        assert _two_velocities_sentence(name) == ""
+    assert "unexplained Y(u, r) means" in _two_velocities_sentence("Y(u, r)")
 
 
 def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None:
@@ -420,7 +516,8 @@ def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None
     found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, (), (undecided,), None),), (), ())
     answer = diagnosis_answer(found, None, 1.0, bench=True)
     assert "too few to decide. A diagnosis with longer or further logs of the bench decides, and adds it if" in answer
-    assert "Give all logs of this thruster on the bench first, as further logs of the estimation or with" in answer
+    assert "Next, diagnose all logs of this thruster on the bench together, without --validate. An effect" in answer
+    assert "this adds nothing either, record longer tests." in answer
     left = replace(found, removed=(RemovedEffect(refit("cell-lag", 30.0).effect, 662.0, 6.6, SAME),))
     removed = diagnosis_answer(left, None, 1.0, bench=True)
     assert "is no better with it." in removed
@@ -443,9 +540,9 @@ def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None
         (refit("wind", 11.0, gain=14.9, t=1.6), "nearest are wind (t = 1.6) and pull (t = 1.4): the estimation"),
         (refit("wind", 11.0, gain=14.9, t=1.1), "the model. Wind is not among them: its t is smaller, 1.1. A"),
         (
-            refit("wind", 7.0, gain=4.9, t=1.6),
+            refit("wind", 7.0, gain=1.4, t=1.6),
             "Wind is not among them: the estimation data hardly support its 1 parameter, and the log-likelihood "
-            "of the validation data rises by 5 (t = 1.6). A",
+            "of the validation data rises by 1 (t = 1.6). A",
         ),
         (
             refit("wind", 30.0, gain=-4.0, t=-1.0),

@@ -233,7 +233,7 @@ def test_levels_are_rounded_within_the_limit_of_the_mission() -> None:
     beyond = replace(made, problem=replace(problem, validity={"n_cmd": (-0.1, 0.4)}))
     assert beyond_validity(within) == []
     (warning,) = beyond_validity(beyond)
-    assert re.fullmatch(r"n_cmd -0.6\d* to 0.6\d* \(fitted on -0.1 to 0.4\)", warning)
+    assert re.fullmatch(r"n_cmd from -0.6\d* to 0.6\d* \(data: -0.1 to 0.4\)", warning)
 
 
 def test_robust_criterion_of_designs_and_baselines_is_a_mean_of_finite_values(monkeypatch: pytest.MonkeyPatch) -> None:
