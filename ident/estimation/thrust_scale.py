@@ -285,18 +285,26 @@ def model_values(model: Model, reported: Mapping[str, float]) -> dict[str, float
     -------
     dict
         Values by the names of the model's parameters. Parameters that ``reported`` lacks are left out, and so is a c1
-        that is only a scale.
+        that is only a scale. A value beyond a bound, such as a mean of several fits, is moved onto the bound, and one
+        of a positive parameter stays positive.
     """
     scale = thrust_scale_of(model)
     known = {p.name: (p, n) for p in model.parameters if (n := scale.name(p.name, p.unit)) in reported}
-    found = {n: reported[name] for n, (p, name) in known.items() if not any(scale.powers(p.unit))}
+    found = {n: _inside(p, reported[name]) for n, (p, name) in known.items() if not any(scale.powers(p.unit))}
     if scale.relative and "c2" in known:  # reported as c2 / (c1 + c2)
         share = reported[known["c2"][1]]
-        found["c2"] = model.values["c1"] * share / (1.0 - share)
+        found["c2"] = _inside(known["c2"][0], model.values["c1"] * share / (1.0 - share))
     units = reported_units(model.with_values(found))
     fixed = {"c1", "c2"} if scale.relative else set()
-    ratios = {n: reported[name] / units.factor(p.unit) for n, (p, name) in known.items() if n not in {*found, *fixed}}
-    return found | ratios
+    left = {n: (p, name) for n, (p, name) in known.items() if n not in {*found, *fixed}}
+    return found | {n: _inside(p, reported[name] / units.factor(p.unit)) for n, (p, name) in left.items()}
+
+
+def _inside(p: Parameter, value: float) -> float:
+    """Return a value of a parameter, moved onto its bound if it is beyond it. A positive parameter stays positive."""
+    low, high = p.bounds
+    least = max(low, 1e-6 * abs(p.value)) if p.transform == "log" else low
+    return min(max(value, least), high)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from seatrial.daq.errors import counted
+from seatrial.daq.errors import counted, first_names
 from seatrial.ident.effects import catalogue
 from seatrial.ident.results.commands import SCORE_TESTED, FailedLog
 from seatrial.ident.results.parts import Change, ErrorComparison, Part, Result
@@ -236,6 +236,10 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
         CommonFactor | None, Meta(description="null: fewer than three such parameters, or fewer than three logs")
     ]
     errors: Annotated[tuple[CampaignErrors, ...], Meta(description="prediction errors")]
+    unpredicted: Annotated[
+        tuple[FailedLog, ...],
+        Meta(description="logs without a prediction, with the reasons; empty in a result of an earlier version"),
+    ] = ()
 
     @property
     def expected_to_differ(self) -> tuple[NotCompared, ...]:
@@ -302,6 +306,7 @@ def campaigns_answer(result: CampaignsResult) -> str:
         sentences.append(f"Effects of one campaign: {', '.join(only)}.")
     own = [e.verdict for e in result.errors if e.logs == "after" and e.values == "after"]
     sentences += filter(None, (_errors_sentence(result), _unexplained_sentence(result), _model_sentence(result)))
+    sentences += filter(None, [_unpredicted_sentence(result)])
     if tested and not changed and not result.changed_combinations and "fell" in own:
         nearest = min((d for d in (*tested, *result.combinations) if d.p is not None), key=lambda d: d.p or 0.0)
         sentences.append(
@@ -310,6 +315,17 @@ def campaigns_answer(result: CampaignsResult) -> str:
         )
     # The changes of a model that lacks an effect may stand for this effect, so that this sentence comes first.
     return " ".join(filter(None, (_worse_predicted_sentence(result), *sentences)))
+
+
+def _unpredicted_sentence(result: CampaignsResult) -> str:
+    """Return a sentence on the logs that could not be predicted, with the reason of the first; empty without one."""
+    if not result.unpredicted:
+        return ""
+    first = result.unpredicted[0]
+    return (
+        f"{counted(len(result.unpredicted), 'log')} could not be predicted, so that the check of the changes by their "
+        f"prediction is incomplete: {first_names([x.log for x in result.unpredicted])} ({first.reason})."
+    )
 
 
 def _counts_sentence(n_changed: int, n_tested: int, result: CampaignsResult, rate: str) -> str:

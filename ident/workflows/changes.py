@@ -154,7 +154,7 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
         first = _failed([r for r in rows if (r["sha256"] in later) == (which == "after")])[0]
         raise SeatrialError(f"no fit to a log {which} has converged; {first.log}: {first.reason}")
     comparison = compare_fits(fitted, request.false_discovery_rate)
-    errors, horizon = prediction_errors(fitted, comparison, logs, vehicle, code, request.workers, reporter)
+    predicted = prediction_errors(fitted, comparison, logs, vehicle, code, request.workers, reporter)
     made = provenance([], command)
     result = CampaignsResult(
         created=made.created, seatrial=made.seatrial, command=made.command, answer="",
@@ -162,10 +162,11 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
         notes=(*comparison.notes, *_notes_on_models(request.vehicle, common), score_test_note(vehicle, rows)),
         model=vehicle.model, score_tests=is_tested(vehicle), common_errors=common,
         table="" if request.out is None else str(request.out / TABLE),
-        horizon=horizon, false_discovery_rate=request.false_discovery_rate,
+        horizon=predicted.horizon, false_discovery_rate=request.false_discovery_rate,
         campaigns=_campaign_logs(rows, later), failed=_failed(rows), parameters=comparison.parameters,
         combinations=comparison.combinations, not_compared=comparison.not_compared, effects=comparison.effects,
-        joint=comparison.joint, common_factor=comparison.common_factor, errors=errors,
+        joint=comparison.joint, common_factor=comparison.common_factor, errors=predicted.errors,
+        unpredicted=predicted.failed,
     )  # fmt: skip
     result = msgspec.structs.replace(result, answer=campaigns_answer(result))
     if request.out is not None:

@@ -20,7 +20,7 @@ from seatrial.ident.estimation.thrust_scale import (
     scaled_to_ahead,
     thrust_scale_of,
 )
-from seatrial.ident.model.parameter import ParameterOrigin
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
 
@@ -120,6 +120,19 @@ def test_model_values_invert_the_reported_values(fitted: Fit) -> None:
     other = fitted.model.with_values({"c2": 5.0, "m_u": 1.0})
     found = model_values(other, values | {"unknown": 1.0})
     assert found == pytest.approx({n: v for n, v in fitted.model.values.items() if n != "c1"})
+
+
+def test_model_values_are_inside_the_bounds(fitted: Fit) -> None:
+    """Rounding makes the mean of estimates at a bound of zero negative, which no model accepts."""
+    reported = {"d_u/T": -1e-17, "d_uu/T": -3.0, "m_u/T": -1.0, "k_gyro": 0.1}
+    found = model_values(fitted.model, reported)
+    assert found["d_u"] == found["d_uu"] == 0.0
+    assert found["m_u"] > 0.0
+    shafts = replace(
+        fitted.model, parameters=(*fitted.model.parameters, Parameter("dead_zone", 0.1, bounds=(0.0, 0.5)))
+    )
+    found = model_values(shafts, {"dead_zone": -1.3e-17})
+    assert shafts.with_values(found).values["dead_zone"] == 0.0
 
 
 def contradicted_priors(fit: Fit) -> list[PriorDistance]:

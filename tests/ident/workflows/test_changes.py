@@ -725,6 +725,27 @@ def test_logs_after_that_no_values_predict_ask_for_a_diagnosis() -> None:
         assert ("Run `seatrial ident diagnose` on the logs after" in answer) is asked
 
 
+def test_a_log_that_cannot_be_predicted_is_in_the_result(
+    logs: dict[str, list[Path]], folder: Path, fouled: CampaignsResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(model: Any, values: Any) -> Any:
+        raise SeatrialError("parameter d_u: -1 is outside its bounds")
+
+    assert fouled.unpredicted == ()
+    monkeypatch.setattr("seatrial.ident.workflows.campaign_errors.model_values", refused)
+    names = [str(x) for x in (*logs["before"], *logs["fouled"])]
+    with pytest.warns(st.SeatrialWarning):
+        found = st.compare_campaigns(logs["before"], logs["fouled"], fixed=FIXED, out=folder, jobs=1)
+    assert sorted(x.log for x in found.result.unpredicted) == sorted(names)
+    assert found.result.errors == ()
+    assert "6 logs could not be predicted, so that the check of the changes by their prediction is" in found.answer
+    assert "d_u: -1 is outside its bounds" in found.answer
+    (table,) = [t for t in campaign_tables(found.result) if str(t.title) == "Not predicted"]
+    assert len(table.rows) == 6
+    page = (found.save(folder / "unpredicted") / "report.html").read_text(encoding="utf-8")
+    assert "Logs without a prediction" in page
+
+
 SPEEDS = {"u_typical": 1.1, "v_typical": 0.07, "r_typical": 0.3}
 
 
