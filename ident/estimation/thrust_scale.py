@@ -483,8 +483,13 @@ def prior_distances(fit: Fit) -> list[PriorDistance]:
     exceed the plain ones, here its mean over all estimates. C is the variance of the estimate by considered parameters
     and by candidates that may be missing from the model. Without k and C, a small error of the model would look like a
     wrong prior if the data have a small share of the information.
+
+    The prior of c1 is left out if nothing else that was given for the boat has a unit of force or mass. The motion
+    determines ratios to the thrust only, so that the rest of the information on c1 is that of built-in priors, such as
+    that of c2 around zero: a thrust astern that is much smaller than that ahead would contradict a correct c1.
     """
     found = []
+    only_scale = _is_only_scale(fit)
     excess = fit.inflation[np.isfinite(fit.inflation)]
     inflation = float(np.mean(excess**2)) if excess.size else 1.0
     given_origins = {ParameterOrigin.MEASURED, ParameterOrigin.PRIOR}
@@ -499,12 +504,31 @@ def prior_distances(fit: Fit) -> list[PriorDistance]:
         for_this_boat = p.origin in given_origins and not (p.name in of_effects and p.origin is ParameterOrigin.GIVEN)
         if prior is None or not for_this_boat or (p.transform == "log" and value <= 0.0):
             continue
+        if p.name == "c1" and only_scale:
+            continue
         by_data, moved = max(1.0 - weight, LEAST_DATA), (p.to_free(value) - prior[0]) / prior[1]
         of_model = model_variance / (p.slope(value) * prior[1] * by_data) ** 2
         plain = moved / by_data / np.sqrt(1.0 + weight / by_data)
         widened = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data + of_model)
         found.append(PriorDistance(p, value, float(widened), float(plain), weight))
     return found
+
+
+def _is_only_scale(fit: Fit) -> bool:
+    """Return whether c1 alone sets the scale of the forces: no other given number has a unit of force or mass.
+
+    Numbers are given by the user or by a bench test, as a prior or as a fixed value other than zero. The priors of
+    effects and of the noise of the model do not count, and c1 of a user-defined model may have another meaning.
+    """
+    model = fit.model
+    if is_own_model(model.source):
+        return False
+    known = (ParameterOrigin.MEASURED, ParameterOrigin.PRIOR)
+    of_effects = {p.name for e in model.effects for p in e.parameters} | set(model.noise_parameters)
+    priors = [p for p in fit.parameters if p.prior is not None and p.origin in known]
+    fixed = [p for p in model.parameters if not p.free and p.value and p.origin in (ParameterOrigin.GIVEN, *known)]
+    others = [*priors, *(p for p in fixed if p.name not in of_effects)]
+    return not any(p.name != "c1" and force_power(p.unit) for p in others)
 
 
 def least_yaw_inertia(fit: Fit, length: float | None = None) -> float | None:

@@ -164,6 +164,21 @@ def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:
     assert less.distance == pytest.approx(found.distance / np.sqrt(1.25), rel=0.05)
 
 
+def test_data_cannot_contradict_a_thrust_that_alone_sets_the_scale() -> None:
+    """The motion determines c2 / c1, and the built-in prior of c2 around zero would move c1."""
+    recording, _ = sail(boat_with(None, 3), 60.0, 3)
+    thrust = Parameter("c1", 40.0, "N", prior=(40.0, 0.5), origin=PRIOR)
+    far = Parameter("c2", 0.0, "N", prior=(8.0, 0.01), origin=ParameterOrigin.BUILT_IN)
+    model = horizontal_model().with_free(("m_u", "m_v", "m_r", "d_uu", "d_v", "d_r"))
+    shapes = {p.name: p for p in model.parameters}
+    known = [replace(shapes[p.name], value=p.value, prior=p.prior, origin=p.origin, free=True) for p in (thrust, far)]
+    found = fit(model.replace_parameters(*known), [make_record(model, LogSegment("run", channels_of(recording)), 10.0)])
+    assert [d.parameter.name for d in prior_distances(found)] == []
+    given = {"c2": replace(known[1], origin=PRIOR)}
+    both = replace(found, parameters=tuple(given.get(p.name, p) for p in found.parameters))
+    assert "c1" in [d.parameter.name for d in contradicted_priors(both)]
+
+
 def test_yaw_inertia_has_a_lower_limit_from_the_thruster_positions(fitted: Fit) -> None:
     assert least_yaw_inertia(fitted) is None  # Thrust and arms are unknown.
     names = ("c1", "c2", "y_left", "y_right")
