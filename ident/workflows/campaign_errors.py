@@ -128,7 +128,9 @@ def _values_without(fitted: FittedLogs, comparison: Comparison, k: int, before: 
     """Return the values of the models that predict the log with the index k, none of which uses this log.
 
     A log before gets the values of the other logs before. A log after gets those before (``before``), those before with
-    the changed parameters of after, and those after. The parameters of a changed combination count as changed.
+    the changed parameters of after, and those after. The parameters of a changed combination count as changed, and
+    beside a changed parameter also those that have changed by one factor: the lost thrust of one side changes the mean
+    thrust, and so masses and damping, whose single changes the unknown scale of the forces hides.
     """
     others = fitted.part((np.arange(len(fitted.logs)) != k) & (fitted.after == fitted.after[k]))
     if not fitted.after[k]:
@@ -137,6 +139,9 @@ def _values_without(fitted: FittedLogs, comparison: Comparison, k: int, before: 
     if others.logs:
         changed = {p.name for p in comparison.parameters if p.changed}
         changed |= {name for c in comparison.combinations if c.changed for name in c.parameters}
+        factor = comparison.common_factor
+        if changed and factor is not None and factor.explains:
+            changed |= set(factor.parameters)
         if changed:
             found["changed"] = _campaign_values(others, comparison.scatter, before, changed)
         found["after"] = _campaign_values(others, comparison.scatter)
