@@ -124,7 +124,7 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
 
     The folder of the output is created if it does not exist. The block has to create the scratch file. At the end of
     the block the scratch file gets the name of the output. If the block raises an error, the scratch file is deleted,
-    and an existing output stays as it was.
+    and so is the folder if it was created here and is empty; an existing output stays as it was.
 
     Parameters
     ----------
@@ -142,7 +142,9 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
         the block without a file name gets this name too; one with the name of another file is not changed.
     """
     require_new(path, force)
+    created = [folder for folder in path.absolute().parents if not folder.exists()]
     make_parent(path)
+    is_done = False
     scratch = path.with_name(f".{path.name[:200]}.{secrets.token_hex(8)}.part")  # random: nobody can guess the name
     note_scratch(scratch)
     try:
@@ -152,6 +154,7 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
             os.replace(scratch, path)
         else:
             _rename_to_new(scratch, path)
+        is_done = True
     except OSError as error:
         if error.errno is None or error.filename not in (None, str(scratch), os.fsencode(scratch)):
             raise
@@ -159,6 +162,8 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             scratch.unlink(missing_ok=True)
+            for folder in () if is_done else created:
+                folder.rmdir()  # an OSError if it has other files by now
 
 
 def _rename_to_new(scratch: Path, path: Path) -> None:

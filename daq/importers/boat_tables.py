@@ -74,6 +74,30 @@ def _plain(value: Any, where: str) -> float | list[float]:
         raise SeatrialError(f"{where}: must be a number or numbers, not {value!r}") from problem
 
 
+def boat_numbers_of(geometry: TomlTable | None, scale: TomlTable | None) -> dict[str, float]:
+    """Return the numbers of the tables [geometry] and [scale] of an import map, by name.
+
+    Raise SeatrialError with all mistakes of both tables in one message, if there are any.
+    """
+    found, problems = dict[str, float](), list[SeatrialError]()
+    for read, table in ((geometry_of, geometry), (thrust_of, scale)):
+        try:
+            found |= read(table)
+        except SeatrialError as problem:
+            problems.append(problem)
+    _raise_all(problems, next((table.source for table in (geometry, scale) if table is not None), ""))
+    return found
+
+
+def _raise_all(problems: Sequence[SeatrialError], source: str) -> None:
+    """Raise the errors as one, if there are any. The name of the map, ``source``, stands at its begin only."""
+    if len(problems) == 1:
+        raise problems[0]
+    if problems:
+        first, *rest = (str(problem).removeprefix(f"{source}: ") for problem in problems)
+        raise SeatrialError(f"{source}: {'; '.join([first, *rest])}")
+
+
 def geometry_of(table: TomlTable | None) -> dict[str, float]:
     """Return the numbers of the table [geometry] by name; empty without the table. SeatrialError if one is wrong."""
     return _boat_numbers(table, GEOMETRY)
@@ -114,26 +138,40 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     """Return the numbers of the boat in the table [geometry] or [scale] of an import map, by name.
 
     `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them.
-    The result is empty if `table` is None. Raise SeatrialError if a number is impossible, a key is unknown, or the
-    number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the antenna in body
-    axes [m], whose three numbers have the names `ANTENNA`, and its standard uncertainty `ANTENNA_SD`. Thrusts, length,
-    mass and standard uncertainties must be positive, the size of c2 less than c1, y_left less than y_right, and both
-    and x_thrusters at most `length` from the middle. A mass that is unusual for the length gives a warning. The antenna
-    must be within one length.
+    The result is empty if `table` is None. Raise SeatrialError with all mistakes if a number is impossible, a key is
+    unknown, or the number of an uncertainty is missing. [geometry] may also have `lever_arm_m`, the position of the
+    antenna in body axes [m], whose three numbers have the names `ANTENNA`, and its standard uncertainty `ANTENNA_SD`.
+    Thrusts, length, mass and standard uncertainties must be positive, the size of c2 less than c1, y_left less than
+    y_right, and both and x_thrusters at most `length` from the middle. A mass that is unusual for the length gives a
+    warning. The antenna must be within one length.
     """
     if table is None:
         return {}
-    found = {name: table.number(name) for name in names if table.has(name)}
+    problems, found = list[SeatrialError](), dict[str, float]()
+
+    def number(name: str, positive: bool = False) -> None:
+        """Read the number of a key that the table has, or note the error."""
+        try:
+            found[name] = table.number(name, positive=positive)
+        except SeatrialError as problem:
+            problems.append(problem)
+
+    def wrong(name: str, text: str) -> None:
+        """Note a mistake in the number of a key."""
+        problems.append(table.error(name, text))
+
     for name in names:
+        if table.has(name):
+            number(name)
         if table.has(uncertainty := f"{name}_sd"):
-            found[uncertainty] = table.number(uncertainty, positive=True)
-            if name not in found:
-                raise table.error(uncertainty, f"is the standard uncertainty of {name}; give {name} too")
+            number(uncertainty, positive=True)
+            if not table.has(name):
+                wrong(uncertainty, f"is the standard uncertainty of {name}; give {name} too")
     for name in ("c1", *PULLS, "length", "mass"):
         if found.get(name, 1.0) <= 0.0:
-            raise table.error(name, f"must be positive, not {found[name]:g}")
-    if abs(found.get("c2", 0.0)) >= found.get("c1", math.inf):
-        raise table.error(
+            wrong(name, f"must be positive, not {found[name]:g}")
+    if abs(found.get("c2", 0.0)) >= found.get("c1", math.inf) > 0.0:
+        wrong(
             "c2",
             f"{found['c2']:g} N is not smaller than c1 = {found['c1']:g} N: the thrust ahead is c1 + c2 and "
             "that astern c1 - c2, and both must be positive",
@@ -141,20 +179,25 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     for name, positive in (("y_left", "to starboard"), ("y_right", "to starboard"), ("x_thrusters", "forward")):
         if abs(found.get(name, 0.0)) > found.get("length", math.inf):
             where = f"{abs(found[name]):g} m from the middle of a hull of {found['length']:g} m"
-            raise table.error(name, f"{where}; write positions in metres, positive {positive}")
+            wrong(name, f"{where}; write positions in metres, positive {positive}")
     if {"y_left", "y_right"} <= set(found) and found["y_left"] >= found["y_right"]:
-        raise table.error(
-            "y_left", "must be less than y_right, because positions are positive to starboard; correct one of them"
-        )
-    if problem := mass_problem(found):
+        wrong("y_left", "must be less than y_right, because positions are positive to starboard; correct one of them")
+    if not problems and (problem := mass_problem(found)):
         warn(f"{table.source}: {problem}; {MASS_ADVICE}")
     if "length" in names and table.has("lever_arm_m"):
-        found |= dict(zip(ANTENNA, table.numbers("lever_arm_m", length=3), strict=True))
-        if problem := arm_problem(found):
-            raise table.error("lever_arm_m", f"{problem}; write positions and length in metres")
+        try:
+            found |= dict(zip(ANTENNA, table.numbers("lever_arm_m", length=3), strict=True))
+            if problem := arm_problem(found):
+                wrong("lever_arm_m", f"{problem}; write positions and length in metres")
+        except SeatrialError as mistake:
+            problems.append(mistake)
     if "length" in names and table.has(ANTENNA_SD):
-        found[ANTENNA_SD] = table.number(ANTENNA_SD, positive=True)
+        number(ANTENNA_SD, positive=True)
         if not table.has("lever_arm_m"):
-            raise table.error(ANTENNA_SD, "is the standard uncertainty of lever_arm_m; give lever_arm_m too")
-    table.done()
+            wrong(ANTENNA_SD, "is the standard uncertainty of lever_arm_m; give lever_arm_m too")
+    try:
+        table.done()
+    except SeatrialError as unknown:
+        problems.append(unknown)
+    _raise_all(problems, table.source)
     return found

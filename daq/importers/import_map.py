@@ -10,7 +10,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from seatrial.daq.config import TomlTable, parse_toml, read_text
-from seatrial.daq.importers.boat_tables import BoatTable, geometry_of, thrust_of, with_boat_tables
+from seatrial.daq.importers.boat_tables import BoatTable, boat_numbers_of, with_boat_tables
 from seatrial.daq.importers.table import SourceOptions, TextStyle
 from seatrial.daq.importers.units import UNITS
 from seatrial.daq.rig import NAME
@@ -300,7 +300,7 @@ def parse_import_map(text: str, path: Path) -> ImportMap:
     pieces = tuple(_piece_of_table(table) for table in root.tables("log"))
     if len({(piece.name, piece.match or "*") for piece in pieces}) < len(pieces):
         raise root.error("log", "two [[log]] tables have the same name; rename one")
-    vehicle = geometry_of(root.table("geometry")) | thrust_of(root.table("scale"))
+    vehicle = boat_numbers_of(root.table("geometry"), root.table("scale"))
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
 

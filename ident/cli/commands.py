@@ -449,7 +449,8 @@ def fleet(logs: tuple[Path, ...], out: Path, workers: Any, force: bool, as_json:
     default=True,
     show_default=True,
     help="Fit the first four logs before together, and add the small errors of sensors and hull form that they show to "
-    "the model of all logs. No influence on a model.toml or a model of your own.",
+    "the model of all logs, with a difference of the thrusts of both sides. A model.toml gets this difference only, "
+    "and a model of your own nothing.",
 )
 @model_options(
     score_tests=False,

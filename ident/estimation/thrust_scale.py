@@ -285,18 +285,26 @@ def model_values(model: Model, reported: Mapping[str, float]) -> dict[str, float
     -------
     dict
         Values by the names of the model's parameters. Parameters that ``reported`` lacks are left out, and so is a c1
-        that is only a scale.
+        that is only a scale. A value beyond a bound, such as a mean of several fits, is moved onto the bound, and one
+        of a positive parameter stays positive.
     """
     scale = thrust_scale_of(model)
     known = {p.name: (p, n) for p in model.parameters if (n := scale.name(p.name, p.unit)) in reported}
-    found = {n: reported[name] for n, (p, name) in known.items() if not any(scale.powers(p.unit))}
+    found = {n: _inside(p, reported[name]) for n, (p, name) in known.items() if not any(scale.powers(p.unit))}
     if scale.relative and "c2" in known:  # reported as c2 / (c1 + c2)
         share = reported[known["c2"][1]]
-        found["c2"] = model.values["c1"] * share / (1.0 - share)
+        found["c2"] = _inside(known["c2"][0], model.values["c1"] * share / (1.0 - share))
     units = reported_units(model.with_values(found))
     fixed = {"c1", "c2"} if scale.relative else set()
-    ratios = {n: reported[name] / units.factor(p.unit) for n, (p, name) in known.items() if n not in {*found, *fixed}}
-    return found | ratios
+    left = {n: (p, name) for n, (p, name) in known.items() if n not in {*found, *fixed}}
+    return found | {n: _inside(p, reported[name] / units.factor(p.unit)) for n, (p, name) in left.items()}
+
+
+def _inside(p: Parameter, value: float) -> float:
+    """Return a value of a parameter, moved onto its bound if it is beyond it. A positive parameter stays positive."""
+    low, high = p.bounds
+    least = max(low, 1e-6 * abs(p.value)) if p.transform == "log" else low
+    return min(max(value, least), high)
 
 
 @dataclass(frozen=True)
@@ -475,8 +483,13 @@ def prior_distances(fit: Fit) -> list[PriorDistance]:
     exceed the plain ones, here its mean over all estimates. C is the variance of the estimate by considered parameters
     and by candidates that may be missing from the model. Without k and C, a small error of the model would look like a
     wrong prior if the data have a small share of the information.
+
+    The prior of c1 is left out if nothing else that was given for the boat has a unit of force or mass. The motion
+    determines ratios to the thrust only, so that the rest of the information on c1 is that of built-in priors, such as
+    that of c2 around zero: a thrust astern that is much smaller than that ahead would contradict a correct c1.
     """
     found = []
+    only_scale = _is_only_scale(fit)
     excess = fit.inflation[np.isfinite(fit.inflation)]
     inflation = float(np.mean(excess**2)) if excess.size else 1.0
     given_origins = {ParameterOrigin.MEASURED, ParameterOrigin.PRIOR}
@@ -491,12 +504,31 @@ def prior_distances(fit: Fit) -> list[PriorDistance]:
         for_this_boat = p.origin in given_origins and not (p.name in of_effects and p.origin is ParameterOrigin.GIVEN)
         if prior is None or not for_this_boat or (p.transform == "log" and value <= 0.0):
             continue
+        if p.name == "c1" and only_scale:
+            continue
         by_data, moved = max(1.0 - weight, LEAST_DATA), (p.to_free(value) - prior[0]) / prior[1]
         of_model = model_variance / (p.slope(value) * prior[1] * by_data) ** 2
         plain = moved / by_data / np.sqrt(1.0 + weight / by_data)
         widened = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data + of_model)
         found.append(PriorDistance(p, value, float(widened), float(plain), weight))
     return found
+
+
+def _is_only_scale(fit: Fit) -> bool:
+    """Return whether c1 alone sets the scale of the forces: no other given number has a unit of force or mass.
+
+    Numbers are given by the user or by a bench test, as a prior or as a fixed value other than zero. The priors of
+    effects and of the noise of the model do not count, and c1 of a user-defined model may have another meaning.
+    """
+    model = fit.model
+    if is_own_model(model.source):
+        return False
+    known = (ParameterOrigin.MEASURED, ParameterOrigin.PRIOR)
+    of_effects = {p.name for e in model.effects for p in e.parameters} | set(model.noise_parameters)
+    priors = [p for p in fit.parameters if p.prior is not None and p.origin in known]
+    fixed = [p for p in model.parameters if not p.free and p.value and p.origin in (ParameterOrigin.GIVEN, *known)]
+    others = [*priors, *(p for p in fixed if p.name not in of_effects)]
+    return not any(p.name != "c1" and force_power(p.unit) for p in others)
 
 
 def least_yaw_inertia(fit: Fit, length: float | None = None) -> float | None:

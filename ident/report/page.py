@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from seatrial.daq.files import write_output
 from seatrial.ident.report import formatting, sections
@@ -24,6 +24,7 @@ from seatrial.ident.results import ComparisonResult, DiagnosisResult, Result, st
 
 PLOTLY = "plotly-cartesian.min.js"  # the bundle with lines, heat maps and bars (docs/decisions/0036-vendored-plotly.md)
 LONG_HEADLINE = 110  # characters, above which a headline has smaller letters
+OPTION = re.compile(r"(?<![\w-])(--[a-z][a-z0-9]*(?:-[a-z0-9]+)*)")  # of the command line; a group for `re.split`
 LARGEST_PAGE = 3_000_000  # bytes: mail and version control take it, and a phone opens it at once
 TOTAL_POINTS = (200_000, 120_000, 70_000)  # points of all curves of a page, from the first that is small enough
 KINDS = {
@@ -166,13 +167,13 @@ def compose(
     opening : Section
         Section whose blocks follow the headline. Its title and lead are not shown, and it is not in the contents.
     body : sequence of Section
-        Sections of the page; each has an entry in the contents.
+        Sections of the page; each with a title has an entry in the contents.
     figures : mapping
         Plotly figures by the id of their ``Plot``. If there are none, the page lacks the script of Plotly.
     version, created : str
         Version of seatrial and time (ISO 8601; may be empty), for the footer.
     warnings : sequence of str
-        Sentences shown below the headline.
+        Sentences shown below the headline and the rest of the answer.
     """
     headline, more, sizes = answer.parts()
     headline = formatting.tied(headline)
@@ -211,13 +212,27 @@ def _environment() -> Environment:
 
     An undefined variable in a template raises jinja2.UndefinedError, and text is escaped for HTML.
     """
-    return Environment(
+    made = Environment(
         loader=PackageLoader("seatrial.ident.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.filters["unbroken"] = _with_unbroken_options
+    return made
+
+
+def _with_unbroken_options(text: str) -> Markup:
+    """Return a text for HTML in which no line is broken inside an option of the command line, such as ``--effect``.
+
+    A browser breaks lines after a hyphen. A no-break hyphen in its place would be copied with the command.
+    """
+    parts = OPTION.split(text)  # every second one is an option
+    found = (
+        escape(x) if k % 2 == 0 else Markup('<span class="option">{}</span>').format(x) for k, x in enumerate(parts)
+    )
+    return Markup("").join(found)
 
 
 def _count_traces(result: Result) -> int:

@@ -265,7 +265,8 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     expected = result.expected_to_differ
     reasons = [(p.name, p.reason) for p in result.not_compared if p not in expected]
     failed = [(row.log, row.reason) for row in result.failed]
-    found = (("Not compared", "parameter", reasons), ("Failed", "log", failed))
+    unpredicted = [(row.log, row.reason) for row in result.unpredicted]
+    found = (("Not compared", "parameter", reasons), ("Failed", "log", failed), ("Not predicted", "log", unpredicted))
     tables += [_reasons_table(title, what, rows) for title, what, rows in found if rows]
     return tables
 

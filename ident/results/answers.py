@@ -56,7 +56,7 @@ from seatrial.ident.results.parts import (
     ResidualTests,
     ResultWarning,
 )
-from seatrial.ident.results.tables import SCORES_PASS, format_number, sides_compare_mass
+from seatrial.ident.results.tables import SCORES_PASS, format_number, parameter_label, sides_compare_mass
 from seatrial.ident.validation import FEWEST, OUTLIER_SDS, WARM_UP, ChannelResiduals, PredictionEvaluation
 
 NAMES = {
@@ -499,6 +499,7 @@ def estimation_warnings(
     ]
     for away in (d for d in prior_distances(fit) if d.contradicts):
         p, value = away.parameter, away.estimate
+        label = parameter_label(p, fit)
         mean, sd = p.prior or (math.nan, math.nan)
         if p.name in fit.model.noises:
             text = (
@@ -509,7 +510,7 @@ def estimation_warnings(
             warnings.append(ResultWarning(code="noise-contradicted", text=text))
             continue
         text = (
-            f"The data contradict the prior of {p.full_name}: {mean:.4g} ± {sd:.2g} {p.unit} was given, the estimate "
+            f"The data contradict the prior of {label}: {mean:.4g} ± {sd:.2g} {p.unit} was given, the estimate "
             f"is {value:.4g} {p.unit}. {_data_alone(away)}, {abs(away.distance):.1f} standard deviations of both away. "
             f"{_acting_alike(fit, p)}Check the prior and the other given values (thrust, arms, units)."
         )
@@ -632,8 +633,9 @@ def prior_notes(fit: Fit) -> list[str]:
         if away.contradicts or not away.contradicts_if_model_is_right or p.name in fit.model.noises:
             continue
         mean, sd = p.prior or (math.nan, math.nan)
+        label = parameter_label(p, fit)
         notes.append(
-            f"The estimate of {p.full_name} is {away.estimate:.4g} {p.unit}, where {mean:.4g} ± {sd:.2g} {p.unit} was "
+            f"The estimate of {label} is {away.estimate:.4g} {p.unit}, where {mean:.4g} ± {sd:.2g} {p.unit} was "
             f"given. {_data_alone(away)}: {abs(away.plain_distance):.1f} standard deviations of both away if no effect "
             f"is missing from the model, and {abs(away.distance):.1f} if the effects that may be missing count. Check "
             "the given value. If it is right, an effect is missing that acts like a change of it."
@@ -882,8 +884,9 @@ def unusual_estimates(fit: Fit) -> list[ResultWarning]:
             continue
         if abs(p.to_free(value) - prior[0]) > UNUSUAL * prior[1]:
             usual, factor = math.exp(prior[0]), math.exp(prior[1])
+            label = parameter_label(p, fit)
             text = (
-                f"{p.full_name} = {value:.2g} {p.unit} ({p.meaning}) is far from its usual size, {usual:.2g} {p.unit} "
+                f"{label} = {value:.2g} {p.unit} ({p.meaning}) is far from its usual size, {usual:.2g} {p.unit} "
                 f"within a factor of {factor:.2g}: the effect may stand for another one. Give --prior {p.name}=MEAN:SD "
                 "if you know it."
             )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from seatrial.daq.errors import counted
+from seatrial.daq.errors import counted, first_names
 from seatrial.ident.effects import catalogue
 from seatrial.ident.results.commands import SCORE_TESTED, FailedLog
 from seatrial.ident.results.parts import Change, ErrorComparison, Part, Result
@@ -19,6 +19,8 @@ FEW_LOGS = 4  # with up to so many logs of both campaigns, intervals by Student'
 MOST_NAMES = 4  # changed parameters that the answer has with their sizes
 # Error of the logs after over that of those before, each with values of their own, from which an effect is missing
 MUCH_WORSE = 1.5
+# The same if the changed parameters do not help: their number then says little, as another cause has to be looked for
+WORSE = 1.25
 POSITIONS = ("x", "y")
 JOINT_LEVEL = 0.05  # significance level of the joint test
 AGREE, DIFFER = 2.0, 3.0  # standard errors up to which two sizes agree, and from which they differ
@@ -236,6 +238,10 @@ class CampaignsResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="
         CommonFactor | None, Meta(description="null: fewer than three such parameters, or fewer than three logs")
     ]
     errors: Annotated[tuple[CampaignErrors, ...], Meta(description="prediction errors")]
+    unpredicted: Annotated[
+        tuple[FailedLog, ...],
+        Meta(description="logs without a prediction, with the reasons; empty in a result of an earlier version"),
+    ] = ()
 
     @property
     def expected_to_differ(self) -> tuple[NotCompared, ...]:
@@ -289,12 +295,7 @@ def campaigns_answer(result: CampaignsResult) -> str:
             )
     factor = result.common_factor
     if factor is not None and factor.explains and changed:
-        size = f"{format_number(factor.factor)} (95 %: {format_number(factor.low)} to {format_number(factor.high)})"
-        same = f"a thrust that has become {format_number(1.0 / factor.factor)} times as large does the same."
-        if any(p.name in factor.parameters for p in changed):
-            sentences.append(f"One factor of {size} on masses and damping explains these changes; {same}")
-        else:  # none of them alone, as the scale of the forces is uncertain
-            sentences.append(f"Masses and damping together have changed by one factor of {size}; {same}")
+        sentences.append(_factor_sentence(factor, result.parameters, changed))
     sentences += filter(None, (_load_sentence(changed), *(_sides_sentence(p, factor) for p in changed)))
     one = [e for e in result.effects if e.changed and {e.before, e.after} == {True, False}]
     only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
@@ -302,14 +303,29 @@ def campaigns_answer(result: CampaignsResult) -> str:
         sentences.append(f"Effects of one campaign: {', '.join(only)}.")
     own = [e.verdict for e in result.errors if e.logs == "after" and e.values == "after"]
     sentences += filter(None, (_errors_sentence(result), _unexplained_sentence(result), _model_sentence(result)))
+    sentences += filter(None, [_unpredicted_sentence(result)])
     if tested and not changed and not result.changed_combinations and "fell" in own:
         nearest = min((d for d in (*tested, *result.combinations) if d.p is not None), key=lambda d: d.p or 0.0)
         sentences.append(
             "So something has changed that these logs do not assign to a parameter. The smallest p value: "
             f"{_nearest_text(nearest)}. Take more logs of each campaign."
         )
-    # The changes of a model that lacks an effect may stand for this effect, so that this sentence comes first.
-    return " ".join(filter(None, (_worse_predicted_sentence(result), *sentences)))
+    # The changes of a model that lacks an effect may stand for this effect, so that this sentence comes first. It comes
+    # last if the changes improve the prediction: they are then at least a part of the truth.
+    worse = _worse_predicted_sentence(result)
+    helps = any(e.values == "changed" and e.verdict == "fell" for e in result.errors)
+    return " ".join(filter(None, (*sentences, worse) if helps else (worse, *sentences)))
+
+
+def _unpredicted_sentence(result: CampaignsResult) -> str:
+    """Return a sentence on the logs that could not be predicted, with the reason of the first; empty without one."""
+    if not result.unpredicted:
+        return ""
+    first = result.unpredicted[0]
+    return (
+        f"{counted(len(result.unpredicted), 'log')} could not be predicted, so that the check of the changes by their "
+        f"prediction is incomplete: {first_names([x.log for x in result.unpredicted])} ({first.reason})."
+    )
 
 
 def _counts_sentence(n_changed: int, n_tested: int, result: CampaignsResult, rate: str) -> str:
@@ -380,18 +396,62 @@ def _model_sentence(result: CampaignsResult) -> str:
     )
 
 
+def _factor_sentence(
+    factor: CommonFactor, parameters: Sequence[ParameterDifference], changed: Sequence[ParameterDifference]
+) -> str:
+    """Return the sentence on the common factor of masses and damping, and on the thrust that has the same effect.
+
+    If the thrusts of both sides were compared and have not changed to each other, the thrust is that of both sides.
+    """
+    size = _with_interval(factor.factor, factor.low, factor.high)
+    of_sides = [p for p in parameters if _is_of_sides(p)]
+    if not of_sides:
+        whose = "a thrust that has become"
+    elif of_sides[0].changed:
+        whose = "a mean thrust of both sides that has become"
+    else:
+        whose = "a thrust of both sides that has become"
+    same = f"{whose} {format_number(1.0 / factor.factor)} times as large does the same."
+    if any(p.name in factor.parameters for p in changed):
+        return f"One factor of {size} on masses and damping explains these changes; {same}"
+    # None of them alone, as the scale of the forces is uncertain.
+    return f"Masses and damping together have changed by one factor of {size}; {same}"
+
+
+def _with_interval(value: float, low: float, high: float) -> str:
+    """Return a number with its 95 % interval, with as many decimals as it needs: ``1.14 (95 %: 1.08 to 1.20)``.
+
+    The last digit is at most half of the half width.
+    """
+    half = 0.5 * (high - low)
+    digits = max(0, -math.floor(math.log10(0.5 * half))) if half > 0.0 else 2
+    return "{:.{n}f} (95 %: {:.{n}f} to {:.{n}f})".format(value, low, high, n=digits)
+
+
 def _sides_sentence(p: ParameterDifference, factor: CommonFactor | None) -> str:
     """Return a sentence on the lost thrust of each side, for the parameter of its difference; else empty text.
 
-    Without a common factor of masses and damping only the ratio of the sides is known, which the headline has.
+    A side that has kept its thrust within the interval of the factor makes the other one the only cause. Without a
+    common factor of masses and damping only the ratio of the sides is known, which the headline has.
     """
     if not _is_of_sides(p) or factor is None or not factor.explains:
         return ""
     before, after = p.before.mean, p.after.mean
-    left, right = ((1.0 + s * after) / (1.0 + s * before) / factor.factor for s in (1.0, -1.0))
+    changes = {side: (1.0 + s * after) / (1.0 + s * before) for side, s in (("left", 1.0), ("right", -1.0))}
+    shares = {side: f"{100.0 * x / factor.factor:.0f} %" for side, x in changes.items()}
+    kept = [side for side, x in changes.items() if x / factor.high <= 1.0 <= x / factor.low]
+    if len(kept) == 1:
+        (stayed,) = kept
+        ends = (100.0 * changes[stayed] / f for f in (factor.high, factor.low))
+        other = "left" if stayed == "right" else "right"
+        return (
+            f"One cause explains both: the {other} thruster gives {shares[other]} of its thrust of before, and the "
+            f"{stayed} one all of it ({shares[stayed]}, 95 %: {' to '.join(f'{x:.0f}' for x in ends)} %). Masses and "
+            "damping have then stayed."
+        )
     return (
-        f"If masses and damping have stayed, the left thruster gives {100 * left:.0f} % of its thrust of before, "
-        f"and the right one {100 * right:.0f} %."
+        f"If masses and damping have stayed, the left thruster gives {shares['left']} of its thrust of before, "
+        f"and the right one {shares['right']}."
     )
 
 
@@ -428,34 +488,59 @@ def _unexplained_sentence(result: CampaignsResult) -> str:
 
 
 def _worse_predicted_sentence(result: CampaignsResult) -> str:
-    """Return a sentence if the model predicts the logs after much worse than those before, each with their own values.
+    """Return a sentence if no values predict the logs after as well as those before are predicted; else empty text.
 
-    The errors are over the spread of each channel, and their ratio is the geometric mean over the channels. Positions
-    are left out, whose spread is the size of the area. Empty text if the ratio is below `MUCH_WORSE`, or if the logs
-    were not predicted.
+    The errors of the logs before are those with their own values, and those of the logs after with the changed
+    parameters or with all values of after, whichever are smaller. The limit is `MUCH_WORSE`, or `WORSE` if the changed
+    parameters do not improve the prediction. The text is also empty if the logs were not predicted.
     """
-    own = {e.logs: e.channels for e in result.errors if e.values == e.logs}
-    if len(own) < 2:
+    rows = {(e.logs, e.values): e for e in result.errors}
+    before, own, changed = (rows.get(k) for k in (("before", "before"), ("after", "after"), ("after", "changed")))
+    if before is None or own is None:
         return ""
-    ratios = {
-        n: (a.after / a.spread) / (b.after / b.spread)
-        for n, a in own["after"].items()
+    compared = [r for e in (own, changed) if e is not None and (r := _error_ratios(before, e))]
+    if not compared:
+        return ""
+    ratios = min(compared, key=_geometric_mean)
+    ratio = _geometric_mean(ratios)
+    no_help = changed is not None and changed.verdict in ("unchanged", "rose")
+    if ratio < (WORSE if no_help else MUCH_WORSE):
+        return ""
+    worst = max(ratios, key=lambda n: ratios[n])
+    lacks = (
+        f"(most of all {worst}: its error is {ratios[worst]:.1f} times as large), so the model lacks an effect that is "
+        "new in them. Run `seatrial ident diagnose` on the logs after, and compare the campaigns with the effect that "
+        "it finds (--effect NAME). Until then a change of a parameter may stand for the missing effect."
+    )
+    if ratio < MUCH_WORSE:
+        return (
+            "Neither the changed parameters nor values of their own bring the prediction error of the logs after back "
+            f"to that of the logs before {lacks}"
+        )
+    return f"With values of their own, the logs after are predicted much worse than those before {lacks}"
+
+
+def _error_ratios(before: CampaignErrors, after: CampaignErrors) -> dict[str, float]:
+    """Return the errors of the logs after over those of the logs before, by channel.
+
+    The ratio is that of the errors, or of the errors over the spread of the channel if this is smaller: less motion
+    makes the errors smaller, but not those by noise. Positions are left out, whose spread is the size of the area.
+    """
+    return {
+        n: a.after / b.after * min(1.0, b.spread / a.spread)
+        for n, a in after.channels.items()
         if n not in POSITIONS
-        and (b := own["before"].get(n)) is not None
+        and (b := before.channels.get(n)) is not None
         and a.spread
         and b.spread
         and a.after
         and b.after
     }
-    if not ratios or math.exp(sum(map(math.log, ratios.values())) / len(ratios)) < MUCH_WORSE:
-        return ""
-    worst = max(ratios, key=lambda n: ratios[n])
-    return (
-        "With values of their own, the logs after are predicted much worse than those before (most of all "
-        f"{worst}: its error is {ratios[worst]:.1f} times as large relative to its motion), so the model lacks an "
-        "effect that is new in them. Run `seatrial ident diagnose` on the logs after, and compare the campaigns with "
-        "the effect that it finds (--effect NAME). Until then a change of a parameter may stand for the missing effect."
-    )
+
+
+def _geometric_mean(ratios: Mapping[str, float]) -> float:
+    """Return the geometric mean of positive ratios by channel, of which there is at least one."""
+    return math.exp(sum(map(math.log, ratios.values())) / len(ratios))
 
 
 def _change_text(p: ParameterDifference) -> str:

@@ -33,7 +33,7 @@ from seatrial.ident.diagnosis import (
     removal_reason,
 )
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, Role
+from seatrial.ident.estimation import Fit, FittedModel, ParameterShift, ReportedEstimates, Role
 from seatrial.ident.model import (
     ESTIMATED_CURVE,
     GIVEN_CURVE,
@@ -87,6 +87,8 @@ from seatrial.ident.results.tables import (
     fit_summary,
     format_number,
     inertial_curves,
+    listed,
+    parameter_label,
     prediction_change,
     residual_rows,
     thrust_difference_warnings,
@@ -1065,8 +1067,8 @@ def _remaining_sentences(diagnosis: Diagnosis, bench: bool) -> list[str]:
 
 
 def _joined_titles(titles: Sequence[str]) -> str:
-    """Join the titles of one or more effects for a sentence, by commas and a final "and"."""
-    return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
+    """Join the titles of one or more effects for a sentence, by commas (or semicolons) and a final "and"."""
+    return listed(titles, "and")
 
 
 def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[parts.ResidualForce, ...]:
@@ -1477,7 +1479,7 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
         notes += inertia_curve_notes([e.effect for e in diagnosis.effects])
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
-    return notes + _flag_notes(diagnosis.after.fit.flags)
+    return notes + _flag_notes(diagnosis.after.fit)
 
 
 def inertia_curve_notes(effects: Iterable[Effect]) -> list[str]:
@@ -1521,9 +1523,12 @@ def _lacks_second_curve(diagnosis: Diagnosis) -> bool:
     return has_curve and any(s.nonparametric for s in diagnosis.remaining)
 
 
-def _flag_notes(flags: Sequence[tuple[str, str]]) -> list[str]:
+def _flag_notes(fit: Fit) -> list[str]:
     """Return one note for each flag of parameters (`Fit.flags`), with the names of all parameters that have it."""
+    if not fit.flags:
+        return []
+    labels = {p.full_name: parameter_label(p, fit) for p in fit.parameters}
     named: dict[str, list[str]] = {}
-    for name, flag in flags:
-        named.setdefault(flag, []).append(name)
+    for name, flag in fit.flags:
+        named.setdefault(flag, []).append(labels.get(name, name))
     return [f"Parameter{'s' * (len(names) > 1)} {', '.join(names)}: {flag}" for flag, names in named.items()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -88,6 +89,23 @@ def format_number(value: float) -> str:
     """Return a number as text for a sentence: two significant digits, or an integer from 99.5 on (113, 8.4, 0.66)."""
     # From 99.5: with two digits, 99.6 would be printed with an exponent.
     return f"{value:.0f}" if abs(value) >= 99.5 else f"{value:#.2g}".rstrip(".")
+
+
+def listed(items: Sequence[str], last: str = "") -> str:
+    """Return items as a list for a sentence, separated by semicolons if one of them contains a comma, else by commas.
+
+    Commas in parentheses do not count. ``last``, such as "and", stands before the last of several items.
+    """
+    separator = "; " if any("," in re.sub(r"\([^()]*\)", "", item) for item in items) else ", "
+    if len(items) < 2 or not last:
+        return separator.join(items)
+    before = separator.rstrip() if separator == "; " else ""
+    return f"{separator.join(items[:-1])}{before} {last} {items[-1]}"
+
+
+def parameter_label(p: Parameter, fit: Fit) -> str:
+    """Return the name of a parameter, of a value of one log with the name of this log as in the tables: ``V_x@LOG``."""
+    return p.name if p.segment is None else f"{p.name}@{fit.records[p.segment]}"
 
 
 def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
@@ -826,7 +844,7 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
     """
     if found is None:
         return []
-    titles = ", ".join(e.title for e in found.effects)
+    titles = listed([e.title for e in found.effects])
     gains = found.gains
     support = (
         "they were in the model that was given"

@@ -19,11 +19,10 @@ from seatrial.ident.estimation import (
     model_values,
     nominal_model,
 )
-from seatrial.ident.model import Model
 from seatrial.ident.models import accepting_code
 from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import CampaignErrors, error_rows, finite
+from seatrial.ident.results import CampaignErrors, FailedLog, error_rows, finite
 from seatrial.ident.validation import PredictionErrors, horizon_errors, pooled_errors, prediction_change_by_record
 from seatrial.ident.workflows.campaign_fits import Comparison, Values
 from seatrial.ident.workflows.campaign_logs import FittedLogs, campaign_of, positive_definite
@@ -66,6 +65,25 @@ class LogErrors:
     errors: Mapping[str, Mapping[str, PredictionErrors]]
 
 
+@dataclass(frozen=True)
+class Predictions:
+    """Predictions of the logs of two campaigns.
+
+    Attributes
+    ----------
+    errors
+        Errors on the logs of each campaign, by the values of the model.
+    horizon
+        Prediction horizon [s].
+    failed
+        Logs that could not be predicted, with the reasons.
+    """
+
+    errors: tuple[CampaignErrors, ...]
+    horizon: float
+    failed: tuple[FailedLog, ...]
+
+
 def prediction_errors(
     fitted: FittedLogs,
     comparison: Comparison,
@@ -74,11 +92,11 @@ def prediction_errors(
     code: frozenset[str],
     workers: Workers,
     reporter: Reporter,
-) -> tuple[tuple[CampaignErrors, ...], float]:
+) -> Predictions:
     """Predict each log by the values of the campaigns without this log, and return the errors and the horizon [s].
 
-    Values that need the log itself, because its campaign has no other one, are left out. A log that cannot be predicted
-    is left out with a warning. ``code`` has the hashes of the Python files that the model may run.
+    Values that need the log itself, because its campaign has no other one, are left out. ``code`` has the hashes of the
+    Python files that the model may run. The reporter gets a warning for each log that cannot be predicted.
     """
     by_name = {log.name: log for log in logs}
     before = _campaign_values(fitted.part(~fitted.after), comparison.scatter)
@@ -88,10 +106,12 @@ def prediction_errors(
         if (values := _values_without(fitted, comparison, k, before))
     ]
     found: dict[str, LogErrors] = {}
+    failed: list[FailedLog] = []
     work = partial(_errors_of_log, portable(vehicle), code)
     for n, outcome in enumerate(run_many(tasks, work, workers, reporter), 1):
         if outcome.value is None:
             reporter.warning(f"{outcome.task.log.name}: no prediction: {outcome.error}")
+            failed.append(FailedLog(log=outcome.task.log.name, reason=outcome.error))
             continue
         found[outcome.task.log.name] = outcome.value
         reporter.progress(f"{n} of {len(tasks)}: {outcome.task.log.name} predicted")
@@ -101,14 +121,16 @@ def prediction_errors(
     for after, kinds in ((False, ("before",)), (True, ("before", "changed", "after"))):
         part = {log: found[log] for log in fitted.logs if log in found and later[log] is after}
         rows += [row for kind in kinds if (row := _errors_row(part, after, kind, horizon)) is not None]
-    return tuple(rows), horizon
+    return Predictions(tuple(rows), horizon, tuple(failed))
 
 
 def _values_without(fitted: FittedLogs, comparison: Comparison, k: int, before: Values) -> dict[str, Values]:
     """Return the values of the models that predict the log with the index k, none of which uses this log.
 
     A log before gets the values of the other logs before. A log after gets those before (``before``), those before with
-    the changed parameters of after, and those after. The parameters of a changed combination count as changed.
+    the changed parameters of after, and those after. The parameters of a changed combination count as changed, and
+    beside a changed parameter also those that have changed by one factor: the lost thrust of one side changes the mean
+    thrust, and so masses and damping, whose single changes the unknown scale of the forces hides.
     """
     others = fitted.part((np.arange(len(fitted.logs)) != k) & (fitted.after == fitted.after[k]))
     if not fitted.after[k]:
@@ -117,6 +139,9 @@ def _values_without(fitted: FittedLogs, comparison: Comparison, k: int, before: 
     if others.logs:
         changed = {p.name for p in comparison.parameters if p.changed}
         changed |= {name for c in comparison.combinations if c.changed for name in c.parameters}
+        factor = comparison.common_factor
+        if changed and factor is not None and factor.explains:
+            changed |= set(factor.parameters)
         if changed:
             found["changed"] = _campaign_values(others, comparison.scatter, before, changed)
         found["after"] = _campaign_values(others, comparison.scatter)
@@ -170,24 +195,14 @@ def _errors_of_log(vehicle: VehicleRequest, code: frozenset[str], task: Predicte
     record = make_record(model, problem.segments[0], vehicle.rate)
     found = {}
     for kind, values in task.values.items():
-        adapted = nominal_model(_with_values(model, values))  # its priors are scaled to the size of the boat
+        # The priors of the nominal model are scaled to the size of the boat.
+        adapted = nominal_model(model.with_values(model_values(model, values)))
         views, failed = evaluate_records(adapted, [record])
         if failed:
             raise SeatrialError(failed[0].reason)
         (v,) = views
         found[kind] = horizon_errors(v.model, v.record, v.values, v.run.x_filt, horizon)
     return LogErrors(horizon, {o.name: o.unit for o in model.outputs}, found)
-
-
-def _with_values(model: Model, reported: Values) -> Model:
-    """Return the model with reported values. A mean beyond a bound is moved onto it, and a positive one stays so."""
-    found = model_values(model, reported)
-    for name, value in found.items():
-        p = model.parameter(name)
-        low, high = p.bounds
-        least = max(low, 1e-6 * abs(p.value)) if p.transform == "log" else low
-        found[name] = float(np.clip(value, least, high))
-    return model.with_values(found)
 
 
 def _errors_row(part: Mapping[str, LogErrors], after: bool, kind: Any, horizon: float) -> CampaignErrors | None:

@@ -394,7 +394,9 @@ def _notes(
     if SIDES in priors:
         notes.append(
             "The thrusts of both sides differ in some logs. The standard errors of masses, damping and forces include "
-            "that the motion does not show which side deviates from the given thrust."
+            "that the motion does not show which side deviates from the given thrust. `seatrial ident vehicle` on the "
+            "logs after compares the mass in surge with the weighed mass for either side; a measurement of the thrust "
+            "of both sides as they are now (seatrial bench) decides."
         )
     if held:
         notes.append(

@@ -1,9 +1,9 @@
 """Workflow of `seatrial ident changes`: one vehicle model on two campaigns of logs, and what differs between them.
 
 The model is fitted to each log separately, as by `seatrial ident fleet`, with the same table of estimates. It has the
-common errors of sensors and hull form that a fit of the logs before shows, the same for all logs. The means of the
-campaigns are compared with the scatter between logs as a random effect (docs/decisions/0049-campaigns.md). The logs
-are then predicted with the values of each campaign.
+common errors of sensors and hull form that a fit of the logs before shows, the same for all logs, and a difference of
+the thrusts of both sides. The means of the campaigns are compared with the scatter between logs as a random effect
+(docs/decisions/0049-campaigns.md). The logs are then predicted with the values of each campaign.
 """
 
 from __future__ import annotations
@@ -16,6 +16,10 @@ from typing import Any
 import msgspec
 
 from seatrial.daq.errors import SeatrialError, counted
+from seatrial.ident.checks import device_faults
+from seatrial.ident.data import load_all
+from seatrial.ident.effects import catalogue
+from seatrial.ident.models import accepting_code, is_own_model, thrust_of
 from seatrial.ident.parallel import Workers
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
@@ -33,6 +37,7 @@ from seatrial.ident.workflows.campaign_fits import FALSE_DISCOVERY_RATE, compare
 from seatrial.ident.workflows.campaign_logs import Row, campaign_of, fitted_logs
 from seatrial.ident.workflows.fleet import (
     TABLE,
+    FleetLog,
     FleetRequest,
     checked_code,
     fit_logs,
@@ -41,7 +46,7 @@ from seatrial.ident.workflows.fleet import (
     warnings_of_logs,
 )
 from seatrial.ident.workflows.vehicle import fit_vehicle, is_tested, write_vehicle_fit
-from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, is_saved_model, vehicle_problem
 
 LOGS_TOGETHER = 4  # logs before that are fitted together to find the common errors; more would only take longer
 
@@ -66,7 +71,8 @@ class ChangesRequest:
         Largest expected share of false ones among the changed parameters, between 0 and 1.
     common_errors
         Whether the first logs before are fitted together first, and the common errors that they show are added to the
-        model of all logs. It has no influence on a saved or user-defined model, and on fits with score tests.
+        model of all logs, with a difference of the thrusts of both sides. A saved model gets this difference only. It
+        has no influence on a user-defined model, and on fits with score tests.
     """
 
     before: Sequence[Path]
@@ -145,6 +151,11 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
     vehicle, common = request.vehicle, tuple[str, ...]()
     if request.common_errors and not is_tested(vehicle) and not is_saved_model(vehicle.model):
         vehicle, common = _with_common_errors(request, [log.path for log in before], reporter)
+    sides = ""
+    if request.common_errors and not is_tested(vehicle):
+        with accepting_code(code):
+            sides = _difference_of_sides(vehicle, logs)
+        vehicle = replace(vehicle, effects=(*vehicle.effects, *filter(None, [sides])))
     table = fit_logs(logs, FleetRequest((), vehicle, request.out, request.workers, request.force), code, reporter)
     rows = table.to_pylist()
     later = {log.sha256 for log in after}
@@ -154,18 +165,22 @@ def find_changes(request: ChangesRequest, command: str, reporter: Reporter) -> C
         first = _failed([r for r in rows if (r["sha256"] in later) == (which == "after")])[0]
         raise SeatrialError(f"no fit to a log {which} has converged; {first.log}: {first.reason}")
     comparison = compare_fits(fitted, request.false_discovery_rate)
-    errors, horizon = prediction_errors(fitted, comparison, logs, vehicle, code, request.workers, reporter)
+    predicted = prediction_errors(fitted, comparison, logs, vehicle, code, request.workers, reporter)
     made = provenance([], command)
     result = CampaignsResult(
         created=made.created, seatrial=made.seatrial, command=made.command, answer="",
-        warnings=warnings_of_logs(rows),
-        notes=(*comparison.notes, *_notes_on_models(request.vehicle, common), score_test_note(vehicle, rows)),
+        warnings=tuple(w for w in warnings_of_logs(rows) if w.code != "thrust-sides-differ"),  # a note has it
+        notes=(
+            *comparison.notes, *_notes_on_models(request.vehicle, common), *_notes_on_sides(sides),
+            score_test_note(vehicle, rows),
+        ),
         model=vehicle.model, score_tests=is_tested(vehicle), common_errors=common,
         table="" if request.out is None else str(request.out / TABLE),
-        horizon=horizon, false_discovery_rate=request.false_discovery_rate,
+        horizon=predicted.horizon, false_discovery_rate=request.false_discovery_rate,
         campaigns=_campaign_logs(rows, later), failed=_failed(rows), parameters=comparison.parameters,
         combinations=comparison.combinations, not_compared=comparison.not_compared, effects=comparison.effects,
-        joint=comparison.joint, common_factor=comparison.common_factor, errors=errors,
+        joint=comparison.joint, common_factor=comparison.common_factor, errors=predicted.errors,
+        unpredicted=predicted.failed,
     )  # fmt: skip
     result = msgspec.structs.replace(result, answer=campaigns_answer(result))
     if request.out is not None:
@@ -225,6 +240,43 @@ def _with_common_errors(
         initial={**start, **request.vehicle.initial},
     )
     return vehicle, tuple(common)
+
+
+def _difference_of_sides(vehicle: VehicleRequest, logs: Sequence[FleetLog]) -> str:
+    """Return the effect of a difference of the thrusts of both sides, which the model of all logs gets.
+
+    The name is empty if the model cannot have it (it has one already, or no two thrusters), for a user-defined model,
+    and if it is given which side has the given thrust. Without this effect, a thruster that has lost thrust looks like
+    larger masses and damping. The first log that can be read decides.
+
+    Parameters
+    ----------
+    vehicle : VehicleRequest
+        Options of each fit.
+    logs : sequence of FleetLog
+        Logs of both campaigns.
+    """
+    effects = [e for e in catalogue().values() if e.thrust_difference]
+    for log in logs:
+        try:
+            loaded, _ = load_all([log.path], [], vehicle.window, device_faults)
+            model = vehicle_problem(vehicle, loaded, []).model
+        except SeatrialError:
+            continue  # the fit to this log fails with the reason
+        if is_own_model(model.source) or thrust_of(model) or any(e.thrust_difference for e in model.effects):
+            return ""
+        return next((e.name for e in effects if model.accepts(e)), "")
+    return ""
+
+
+def _notes_on_sides(effect: str) -> list[str]:
+    """Return the note on the effect that compares the thrusts of both sides; no note without it (empty text)."""
+    if not effect:
+        return []
+    return [
+        f"The model has the effect {effect}, so that the loss of thrust of one thruster does not look like larger "
+        "masses and damping (--no-common-errors, in Python common_errors=False, leaves it out)."
+    ]
 
 
 class _ProgressOnly:

@@ -152,7 +152,8 @@ def compare_campaigns(
         As in `fit_many`.
     common_errors : bool
         Whether the first four logs before are fitted together first, and the small errors of sensors and hull form that
-        they show are added to the model of all logs. It has no influence on a model.toml or a model of your own.
+        they show are added to the model of all logs, with a difference of the thrusts of both sides. A model.toml gets
+        this difference only, and a model of your own nothing.
     **options
         `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles`` and ``thrust_of``. The
         default of ``score_tests`` is False.

@@ -354,7 +354,6 @@ def import_log(
     _check_full_speed(full_speed)
     if import_map is not None and full_speed:
         raise SeatrialError("full_speed is for a guessed map; give scale = 1 / (number at full speed) in map_path")
-    folder.mkdir(parents=True, exist_ok=True)
     made: list[Path] = []
     with errors_of_users(OF_IMPORT):
         if import_map is not None:

@@ -151,3 +151,23 @@ def test_an_output_below_a_file_is_reported(tmp_path: Path, write: Callable[[Pat
 def test_a_folder_that_cannot_be_created_is_reported() -> None:
     with pytest.raises(SeatrialError, match=r"x: the folder /proc/new cannot be created: .*; name another output"):
         write_output(Path("/proc/new/x"), "text")
+
+
+def test_a_failed_output_leaves_no_folder_that_was_made_for_it(tmp_path: Path) -> None:
+    """A folder that existed before, or that has other files, stays."""
+    (tmp_path / "old").mkdir()
+
+    def fails(folder: str) -> None:
+        with new_file(tmp_path / folder / "log.mcap") as scratch:
+            scratch.write_text("half a log", encoding="utf-8")
+            if folder == "shared":
+                (tmp_path / "shared/other").write_text("", encoding="utf-8")
+            raise SeatrialError("broken")
+
+    for folder in ("new/inner", "old", "shared"):
+        with pytest.raises(SeatrialError, match="broken"):
+            fails(folder)
+    assert sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*")) == ["old", "shared", "shared/other"]
+    with new_file(tmp_path / "made/log.mcap") as scratch:
+        scratch.write_text("a log", encoding="utf-8")
+    assert (tmp_path / "made/log.mcap").exists()

@@ -288,4 +288,7 @@ def logs_section(result: CampaignsResult) -> Section:
     if result.failed:
         failed = [[Cell(f.log), Cell(f.reason)] for f in result.failed]
         blocks += [Heading("Logs without a fit"), Table((("log", ""), ("reason", "")), failed)]
+    if result.unpredicted:
+        left = [[Cell(x.log), Cell(x.reason)] for x in result.unpredicted]
+        blocks += [Heading("Logs without a prediction"), Table((("log", ""), ("reason", "")), left)]
     return Section("logs", "Logs", blocks)

@@ -15,7 +15,7 @@ from seatrial.daq import cli
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
-from seatrial.daq.importers.import_map import load_import_map
+from seatrial.daq.importers.import_map import load_import_map, parse_import_map
 from seatrial.daq.importers.write_log import replacing
 from seatrial.daq.log.reader import open_log
 from seatrial.daq.samples import Scalar
@@ -645,3 +645,22 @@ def test_an_interval_without_a_run_is_cut_from_those_with_its_times(folder: Path
     assert [log.name for log in logs] == ["run_p.mcap", "b_p.mcap"]
     path.write_text(text + piece.format("p", 1, 11) + 'match = "b"\n')
     assert [log.name for log in import_files(path, [first, second], out_dir=folder / "b")] == ["run.mcap", "b_p.mcap"]
+
+
+def test_mistakes_in_the_numbers_of_the_boat_are_told_together(tmp_path: Path) -> None:
+    """A boat with the signs of REP-103, two unknown keys and a standard uncertainty without its number."""
+    text = (
+        'format = "seatrial-import 1"\n[time]\ncolumn = "t"\n[[signal]]\nname = "u"\ncolumn = "u"\nunit = "m/s"\n'
+        "[geometry]\ny_left = 0.5\ny_right = -0.5\nmass = -3\nlever_arm = [0.3, 0, 0]\nwidth = 1.2\n"
+        "[scale]\nc1 = 20.0\nc2_sd = 1.0\n"
+    )
+    with pytest.raises(SeatrialError) as caught:
+        parse_import_map(text, tmp_path / "map.toml")
+    message = str(caught.value)
+    assert message.count("map.toml: ") == 1
+    assert message.startswith(
+        f"{tmp_path / 'map.toml'}: geometry.mass: must be positive, not -3; geometry.y_left: must"
+    )
+    assert "unknown key 'lever_arm'; did you mean 'lever_arm_m'?" in message
+    assert "also unknown: 'width'" in message
+    assert message.endswith("scale.c2_sd: is the standard uncertainty of c2; give c2 too")

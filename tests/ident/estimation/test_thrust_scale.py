@@ -20,7 +20,7 @@ from seatrial.ident.estimation.thrust_scale import (
     scaled_to_ahead,
     thrust_scale_of,
 )
-from seatrial.ident.model.parameter import ParameterOrigin
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
 
@@ -122,6 +122,19 @@ def test_model_values_invert_the_reported_values(fitted: Fit) -> None:
     assert found == pytest.approx({n: v for n, v in fitted.model.values.items() if n != "c1"})
 
 
+def test_model_values_are_inside_the_bounds(fitted: Fit) -> None:
+    """Rounding makes the mean of estimates at a bound of zero negative, which no model accepts."""
+    reported = {"d_u/T": -1e-17, "d_uu/T": -3.0, "m_u/T": -1.0, "k_gyro": 0.1}
+    found = model_values(fitted.model, reported)
+    assert found["d_u"] == found["d_uu"] == 0.0
+    assert found["m_u"] > 0.0
+    shafts = replace(
+        fitted.model, parameters=(*fitted.model.parameters, Parameter("dead_zone", 0.1, bounds=(0.0, 0.5)))
+    )
+    found = model_values(shafts, {"dead_zone": -1.3e-17})
+    assert shafts.with_values(found).values["dead_zone"] == 0.0
+
+
 def contradicted_priors(fit: Fit) -> list[PriorDistance]:
     """Return the distances of the priors that the data contradict."""
     return [d for d in prior_distances(fit) if d.contradicts]
@@ -149,6 +162,21 @@ def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:
     by_model[i, i] /= 16
     (less,) = contradicted_priors(replace(fitted, parameters=parameters, considered=by_model))
     assert less.distance == pytest.approx(found.distance / np.sqrt(1.25), rel=0.05)
+
+
+def test_data_cannot_contradict_a_thrust_that_alone_sets_the_scale() -> None:
+    """The motion determines c2 / c1, and the built-in prior of c2 around zero would move c1."""
+    recording, _ = sail(boat_with(None, 3), 60.0, 3)
+    thrust = Parameter("c1", 40.0, "N", prior=(40.0, 0.5), origin=PRIOR)
+    far = Parameter("c2", 0.0, "N", prior=(8.0, 0.01), origin=ParameterOrigin.BUILT_IN)
+    model = horizontal_model().with_free(("m_u", "m_v", "m_r", "d_uu", "d_v", "d_r"))
+    shapes = {p.name: p for p in model.parameters}
+    known = [replace(shapes[p.name], value=p.value, prior=p.prior, origin=p.origin, free=True) for p in (thrust, far)]
+    found = fit(model.replace_parameters(*known), [make_record(model, LogSegment("run", channels_of(recording)), 10.0)])
+    assert [d.parameter.name for d in prior_distances(found)] == []
+    given = {"c2": replace(known[1], origin=PRIOR)}
+    both = replace(found, parameters=tuple(given.get(p.name, p) for p in found.parameters))
+    assert "c1" in [d.parameter.name for d in contradicted_priors(both)]
 
 
 def test_yaw_inertia_has_a_lower_limit_from_the_thruster_positions(fitted: Fit) -> None:

@@ -20,7 +20,7 @@ from rich.console import Console
 from seatrial.api.tables import conclusion
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Cell, Section, Table
-from seatrial.ident.report.page import Answer, compose
+from seatrial.ident.report.page import Answer, compose, figure_page
 from seatrial.ident.report.sections.answer import effect_card
 from seatrial.ident.report.terminal import print_result
 from seatrial.ident.results import NOT_WEIGHED, VehicleResult, standard_error_sentence
@@ -439,6 +439,7 @@ def test_errors_of_a_diagnosis_say_which_command_gives_comparable_ones(
     assert words in table
     text = " ".join(written(content, tmp_path).split())
     section = text[text.index('<section id="errors"') : text.index('<section id="traces"')]
+    section = re.sub(r'<span class="option">(.*?)</span>', r"\1", section)
     assert how in section
     assert words.replace(" `", " <code>").replace("`.", "</code>.") in section
     assert "Comparable" not in printed(shortened(KINDS["thruster"]()))
@@ -594,3 +595,34 @@ def test_thinning_keeps_the_extremes() -> None:
     assert (at[0], at[-1]) == (0, y.size - 1)
     assert np.nanmax(y[at]) == 40.0
     assert np.nanmin(y[at]) == np.nanmin(y)
+
+
+def test_warnings_follow_the_headline_and_the_rest_of_the_answer(tmp_path: Path) -> None:
+    result = KINDS["diagnosis"]()
+    result["answer"] = "The model lacks steady wind. Take it with care."
+    result["warnings"] = [{"code": "log-check", "text": "The log has gaps."}]
+    text = written(result, tmp_path)
+    assert (
+        text.index("</h1>") < text.index("Take it with care.</p>") < text.index("The log has gaps.") < text.index("<h2")
+    )
+
+
+def test_no_line_breaks_inside_an_option_of_the_command_line(tmp_path: Path) -> None:
+    """On a phone, --effect was broken after its first hyphen. The copied text must stay the option."""
+    result = KINDS["diagnosis"]()
+    result["answer"] = (
+        "The model lacks wind. Add it (--effect wind), or `seatrial ident diagnose --no-score-tests A--b`."
+    )
+    text = written(result, tmp_path)
+    assert '(<span class="option">--effect</span> wind)' in text
+    assert 'diagnose <span class="option">--no-score-tests</span> A--b</code>' in text
+    assert ".option { white-space: nowrap; }" in text
+    result["answer"] = "The model lacks <b>wind</b> --effect."
+    assert '&lt;b&gt;wind&lt;/b&gt; <span class="option">--effect</span>.' in written(result, tmp_path)
+
+
+def test_page_of_a_figure_has_no_empty_heading_and_no_empty_link() -> None:
+    text = figure_page("Speed", {"data": [{"type": "scatter", "x": [0, 1], "y": [0, 1]}], "layout": {}})
+    assert "Speed" in text
+    assert not re.search(r"<h2>\s*</h2>", text)
+    assert not re.search(r"<a [^>]*>\s*</a>", text)

@@ -43,6 +43,7 @@ from seatrial.ident.results import (
     campaigns_answer,
     write_result,
 )
+from seatrial.ident.results.campaigns import _with_interval
 from seatrial.ident.results.parts import CommonErrorsRow, EffectParameter
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_combinations import rounded_down
@@ -53,6 +54,8 @@ from seatrial.ident.workflows.changes import ChangesRequest, _notes_on_models, _
 from seatrial.ident.workflows.fleet import SIDES, _effects_by_parameter
 from seatrial.ident.workflows.vehicle import VehicleFit
 from seatrial.ident.workflows.vehicle_model import VehicleRequest
+from seatrial.mocks.plant.boat import draw_boat
+from seatrial.mocks.plant.effect import HiddenEffect
 from tests.ident.pages import browser, chromium
 from tests.missions import boat_log, boat_with
 
@@ -118,8 +121,8 @@ def test_a_changed_drag_is_found_with_its_size(fouled: CampaignsResult) -> None:
     truth = (FASTER - 1.0) * boat_with(None, 5).hull.d_uu
     assert drag.low < truth < drag.high
     assert (drag.before.n, drag.after.n, len(drag.logs)) == (3, 3, 6)
-    assert "1 of 9 parameters and 1 of " in fouled.answer
-    assert " The drag ahead at 0.8 m/s has grown by " in fouled.answer
+    assert "1 of 10 parameters and 1 of " in fouled.answer
+    assert fouled.answer.startswith("The drag ahead at 0.8 m/s has grown by ")
     assert " have changed at a false discovery rate of 5 %. " in fouled.answer
     assert " %); d_uu +" in fouled.answer
     assert fouled.joint is not None
@@ -225,7 +228,7 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     assert list(frame.index) == [p.name for p in (*found.result.combinations, *found.result.parameters)]
     assert "None of " in found.answer
     assert f" nor has any of {len(found.result.combinations)} combinations of them." in found.answer
-    assert "All 9 parameters together: p " in found._repr_html_()
+    assert "All 10 parameters together: p " in found._repr_html_()
     assert not frame[["difference", "relative"]].loc[["m_u"]].isna().any().any()
     shown = found._repr_html_()
     assert "<b>None of" in shown
@@ -579,7 +582,7 @@ def test_a_changed_thrust_is_a_common_factor(payload: bool) -> None:
 @pytest.mark.parametrize(
     ("factor", "words"),
     [
-        (1.2, "68 % of its thrust of before, and the right one 99 %"),
+        (1.2, "68 % of its thrust of before, and the right one all of it (99 %, 95 %: 98 to 100 %)"),
         (1.0, "68.6 ± 0.4 % of the thrust of the right one, before 100 % (eps_LR -0.188, 95 %: -0.196 to -0.179)"),
     ],
 )
@@ -616,7 +619,7 @@ def test_masses_that_change_by_one_factor_are_named_though_the_scale_hides_each_
         "The left thruster gives 68.7 ± 0.4 % of the thrust of the right one, before 100 % (eps_LR -0.18"
     )
     assert " 1 of 5 parameters has changed at a false discovery rate of 5 %. " in answer
-    assert "Masses and damping together have changed by one factor of 1.2 (" in answer
+    assert "Masses and damping together have changed by one factor of 1.202 (" in answer
     assert "the left thruster gives 68 % of its thrust of before" in answer
 
 
@@ -723,6 +726,92 @@ def test_logs_after_that_no_values_predict_ask_for_a_diagnosis() -> None:
         )
         assert ("psi: its error is 2.6 times as large" in answer) is asked
         assert ("Run `seatrial ident diagnose` on the logs after" in answer) is asked
+
+
+def test_a_log_that_cannot_be_predicted_is_in_the_result(
+    logs: dict[str, list[Path]], folder: Path, fouled: CampaignsResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(model: Any, values: Any) -> Any:
+        raise SeatrialError("parameter d_u: -1 is outside its bounds")
+
+    assert fouled.unpredicted == ()
+    monkeypatch.setattr("seatrial.ident.workflows.campaign_errors.model_values", refused)
+    names = [str(x) for x in (*logs["before"], *logs["fouled"])]
+    with pytest.warns(st.SeatrialWarning):
+        found = st.compare_campaigns(logs["before"], logs["fouled"], fixed=FIXED, out=folder, jobs=1)
+    assert sorted(x.log for x in found.result.unpredicted) == sorted(names)
+    assert found.result.errors == ()
+    assert "6 logs could not be predicted, so that the check of the changes by their prediction is" in found.answer
+    assert "d_u: -1 is outside its bounds" in found.answer
+    (table,) = [t for t in campaign_tables(found.result) if str(t.title) == "Not predicted"]
+    assert len(table.rows) == 6
+    page = (found.save(folder / "unpredicted") / "report.html").read_text(encoding="utf-8")
+    assert "Logs without a prediction" in page
+
+
+@pytest.mark.parametrize(
+    ("own", "verdict", "spread", "asked"),
+    [
+        (0.40, "unchanged", 1.6, True),
+        (0.40, "rose", 1.6, True),
+        (0.40, "fell", 1.6, False),
+        (0.30, "unchanged", 1.6, False),
+        (0.30, "unchanged", 0.8, False),  # less motion: the error is that of the sensors
+        (0.60, "unchanged", 3.2, False),
+    ],
+)
+def test_changes_that_do_not_bring_the_error_back_ask_for_a_diagnosis_first(
+    own: float, verdict: Any, spread: float, asked: bool
+) -> None:
+    """The error of the logs after is 1.48 times that of the logs before: a thruster had lost a fifth of its thrust."""
+
+    def errors(logs: Any, values: Any, after: float) -> CampaignErrors:
+        row = ErrorComparison(before=None, after=after, unit="rad", spread=spread if logs == "after" else 1.6)
+        return CampaignErrors(logs=logs, values=values, channels={"psi": row}, verdict=verdict)
+
+    rows = (errors("before", "before", 0.27), errors("after", "changed", 0.8), errors("after", "after", own))
+    values = {"m_u": np.array([40.0, 40.1, 43.0, 43.1])}
+    answer = campaigns_answer(result_of(compared(rows_of(values), 2), rows))
+    first = answer.startswith("Neither the changed parameters nor values of their own bring the prediction error of")
+    assert first is asked
+    assert ("Run `seatrial ident diagnose` on the logs after" in answer) is asked
+
+
+@pytest.mark.parametrize(
+    ("interval", "text"),
+    [
+        ((1.138, 1.079, 1.201), "1.14 (95 %: 1.08 to 1.20)"),
+        ((1.2, 1.19, 1.21), "1.200 (95 %: 1.190 to 1.210)"),
+        ((1.5, 0.9, 2.3), "1.5 (95 %: 0.9 to 2.3)"),
+    ],
+)
+def test_a_factor_has_as_many_digits_as_its_interval_needs(interval: tuple[float, float, float], text: str) -> None:
+    assert _with_interval(*interval) == text
+
+
+def four_fifths(
+    n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
+) -> tuple[float, float]:
+    """Return the thrust [N] of both sides of a boat whose left thruster has lost a fifth."""
+    return 0.8 * f_l, f_r
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
+def test_a_weaker_thruster_is_named_by_default(tmp_path: Path) -> None:
+    """The left thruster gives four fifths of its thrust after, and nothing else has changed."""
+    boat = boat_with(None, 5)
+    weaker = draw_boat(5, [HiddenEffect("weak", "the left thruster has lost thrust", {}, thrust=four_fifths)])
+    logs = {
+        name: [boat_log(tmp_path / f"{name}{n}.mcap", b, 90.0, 10 * k + n, 10 * k + n) for n in range(3)]
+        for k, (name, b) in enumerate((("before", boat), ("after", weaker)))
+    }
+    found = st.compare_campaigns(logs["before"], logs["after"], fixed=FIXED, jobs=1)
+    assert found.changed == ["eps_LR"]
+    assert re.match(r"The left thruster gives (79|80|81)[\d.]* ± [\d.]+ % of the thrust of the right one", found.answer)
+    assert "One cause explains both: the left thruster gives 8" in found.answer
+    assert any("The model has the effect mismatch, so that" in note for note in found.result.notes)
+    assert "thrust-sides-differ" not in {w.code for w in found.result.warnings}
+    assert not any("--thrust-of" in w.text for w in found.result.warnings)  # an option that the command rejects
 
 
 SPEEDS = {"u_typical": 1.1, "v_typical": 0.07, "r_typical": 0.3}

@@ -140,7 +140,7 @@ def test_without_thrust_and_arms_no_estimate_is_in_kilograms(bare: tuple[dict[st
     assert all("/N" in unit or "N)" in unit or "N m)" in unit for unit in free_of_force), free_of_force
     assert output.index("The thrust was not given") < output.index(result["answer"][:30])
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert page.index("The thrust was not given") < page.index("<h1")
+    assert page.index("<h1") < page.index("The thrust was not given") < page.index("<h2")
     text = (out / "model.toml").read_text(encoding="utf-8")
     assert 'thrust = "built-in"' in text
     assert load_model(out / "model.toml").model.parameter("c1").origin == "built-in"
