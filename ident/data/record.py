@@ -7,6 +7,7 @@ A row of a record is one instant: it has the samples of this instant, and the in
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from seatrial.ident.model import Input, Model, Sensor, command_of, shaft_speed_of
 from seatrial.ident.numerics import Array
 
+BLOCK_TIMES = re.compile(r"\[[\d.e+-]+:[\d.e+-]+\]\Z")  # end of the name of a part of a record (`Record.part`)
 ON_CHANGE = 1.0  # s between samples; a command with longer intervals is logged only when it changes
 MEAN_S = 0.1  # length of a mean of samples; over 0.2 s, the smoothed yaw rate made m_r 4 % too large
 SHARE_LOST = 0.1  # of the record; the early end of one signal may cost so much without a warning
