@@ -156,10 +156,10 @@ def sensor_rates(fitted: FittedModel) -> dict[str, float]:
 
     Notes
     -----
-    The rate is the inverse of the median interval, so gaps do not count. A sensor that is averaged has the rate of means
-    of this length, because its estimated noise is that of a mean. It is the rate of the rows, unless the means are
-    shorter than the distance of the rows. A search with 5 rows per second has means over 0.1 s: a fit, which has more
-    rows, uses 10 of them per second.
+    The rate is the inverse of the median interval, so gaps do not count. A sensor that is averaged has the rate of
+    means of this length, because its estimated noise is that of a mean. It is the rate of the rows, unless the means
+    are shorter than the distance of the rows. A search with 5 rows per second has means over 0.1 s: a fit, which has
+    more rows, uses 10 of them per second.
     """
     found: dict[str, float] = {}
     for sensor in fitted.model.sensors:
