@@ -521,7 +521,8 @@ def test_a_printed_table_of_residual_tests_names_each_of_its_rows(fit: st.Fitted
     table = fit.residual_tests()
     with pandas.option_context("display.max_rows", 20, "display.width", 80):  # then five first and last rows
         lines = str(table).splitlines()
-    assert "..." in lines[1]  # columns are left out
+    assert "..." in lines[0] + lines[1]  # columns are left out
+    assert {"p", "verdict"} <= set(lines[0].split())
     shown = [table.iloc[k] for k in (*range(5), *range(-5, 0))]
     for row in shown:
         label = " ".join(filter(None, (row["channel"], row["test"], row["input"])))

@@ -272,6 +272,11 @@ def test_plus_minus_in_an_answer_is_explained_once() -> None:
     assert conclusion(loaded(result)) == "The model lacks steady wind (3.0 ± 0.4 N). ± is one standard error."
 
 
+def test_caption_of_a_table_is_below_it_and_begins_at_its_left(small: dict[str, Any], tmp_path: Path) -> None:
+    (rule,) = re.findall(r"(?m)^caption \{([^}]*)\}", written(small, tmp_path))
+    assert {"caption-side: bottom", "text-align: left"} <= {part.strip() for part in rule.split(";")}
+
+
 def test_rows_of_a_stacked_table_have_titled_cells() -> None:
     """A narrow screen shows these titles, where the verdict of a comparison was out of sight."""
     table = Table((("model", ""), ("verdict", "")), [["(a)", Cell("better", "good")]], stacked=True)
