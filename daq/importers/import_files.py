@@ -38,6 +38,7 @@ from seatrial.daq.importers.write_log import sha256_of, write_signals
 from seatrial.daq.samples import Event
 
 _WHOLE = Piece("", -1e18, 1e18)  # the piece of a map without [[log]]
+ROUNDING_S = 1e-9  # of a time less the shift of its signal
 LONGEST_RELATIVE_S = 1e7  # 116 days; times that are larger do not count from the start of a log
 
 
@@ -113,8 +114,9 @@ def import_files(
                 runs_of.setdefault(piece, []).append(stem)
         shift = _shift_of_negative_times(data, [source for _, source in group], pieces)
         if shift:
+            if _times_begin_below_zero(data, pieces):
+                warn(f"{group[0][0]}: {_shift_line(shift)}")
             data = [source_file._replace(origin=shift) for source_file in data]
-            warn(f"{group[0][0]}: {_shift_line(shift)}")
         for piece in pieces:
             name = f"{stem}_{piece.name}" if piece.name else stem
             target = out or (out_dir or Path()) / f"{name}.mcap"
@@ -226,6 +228,19 @@ def _shift_of_negative_times(data: Sequence[_SourceFile], sources: Sequence[Sour
         return 0.0
     first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
     return -first if -LONGEST_RELATIVE_S < first < 0.0 and last < LONGEST_RELATIVE_S else 0.0
+
+
+def _times_begin_below_zero(data: Sequence[_SourceFile], pieces: Sequence[Piece]) -> bool:
+    """Return whether a time of the files is below zero without the `time_shift` of its signal, which the map asks for.
+
+    Times that the pieces leave out do not count.
+    """
+    return any(
+        len(t := cut.t) and float(t[0]) - cut.signal.time_shift < -ROUNDING_S
+        for source_file in data
+        for signal in source_file.signals.signals
+        for cut in (_within_piece(signal, piece) for piece in pieces)
+    )
 
 
 def _shift_line(shift: float) -> str:

@@ -12,6 +12,7 @@ from seatrial.daq.samples import Scalar
 from seatrial.daq.view.content import SignalRow, TableRow
 from seatrial.daq.view.decimation import Array, longest_period
 
+ROUNDING_S = 1e-6
 RECENT_S = 10.0  # s of the log over which the recent rate of a table is counted
 HIDDEN = ("t", "t_rx", "t_device", "utc", "node")  # columns that are times or names
 
@@ -132,7 +133,8 @@ class Columns:
         """
         t = self.t
         span = float(t[-1] - t[0]) if len(t) else 0.0
-        recent = t[np.searchsorted(t, end - RECENT_S) :]
+        # A sample at the begin of the interval belongs to the one before it; stamps have rounding errors.
+        recent = t[np.searchsorted(t, max(end - RECENT_S, float(t[0]) if len(t) else 0.0) + ROUNDING_S) :]
         return TableRow(
             device=self.device, topic=self.topic, title=self.title, signals=self.signals(), samples=len(t),
             expected=expected, rate=(len(t) - 1) / span if span > 0.0 else math.nan,

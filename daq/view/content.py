@@ -40,8 +40,8 @@ class TableRow(Struct):
     rate
         Mean rate of the samples in memory [Hz]; NaN unless they have two different times.
     recent
-        Number of samples in the last 10 s of the log, divided by this time [Hz]. The time is shorter if the first
-        sample is later. NaN without samples, or if the log ends with the first one.
+        Number of samples in the last 10 s of the log, without one at their begin, divided by this time [Hz]. The time
+        is shorter if the first sample is later. NaN without samples, or if the log ends with the first one.
     gap, gap_at
         Longest time between two samples [s], and its begin [s of the log]; NaN with fewer than two samples.
     silent

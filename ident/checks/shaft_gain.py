@@ -23,6 +23,7 @@ from seatrial.ident.numerics import Array
 LEAST_CHANGE = 0.03  # of the shaft speed, which is 6 % of the thrust; smaller changes do not matter
 CLEAR = 4.0  # standard errors; a change is reported above them
 LEAST_COMMAND = 0.2  # of full command; at smaller ones the dead zone matters more than the slope
+ALIKE = 1.0 / 3.0  # of a change; a battery slows two shafts alike, but not exactly
 FEWEST = 3  # held commands of a group
 # A shaft without a limit: its speed at the highest commands over that expected from the middle ones, and these commands
 # as shares of the largest one.
@@ -41,6 +42,12 @@ class Change(NamedTuple):
     def is_clear(self) -> bool:
         """Whether the change matters and is no chance: it is above 3 % and above four standard errors."""
         return abs(self.change) > max(LEAST_CHANGE, CLEAR * self.error)
+
+    def is_like(self, other: Change) -> bool:
+        """Return whether two changes are equal within four standard errors of their difference, or within a third."""
+        apart = abs(self.change - other.change)
+        alike = max(CLEAR * float(np.hypot(self.error, other.error)), ALIKE * abs(self.change))
+        return self.change * other.change > 0.0 and apart <= alike
 
     @property
     def text(self) -> str:
@@ -84,14 +91,17 @@ def check_shaft_gain(c: Channels) -> Iterator[Finding]:
     Finding
         Warning ``shaft-speed-drifts``, with the change from the first to the last third of the log.
     """
+    changes: dict[str, Change | None] = {}
     for name, held in held_of_thrusters(c).items():
         third = (held.end - held.begin) / 3.0
         first, last = held.t < held.begin + third, held.t >= held.end - third
         used = first | last
-        change = _change(held.command[used], held.speed[used], last[used])
+        changes[name] = _change(held.command[used], held.speed[used], last[used])
+    for name, change in changes.items():
         if change is not None and change.is_clear:
             text = f"in the last third of the log the shaft speed at equal commands is {change.text} than in the first"
-            yield _finding("shaft-speed-drifts", name, text)
+            others = [other for key, other in changes.items() if key != name]
+            yield _finding("shaft-speed-drifts", name, text, change, others)
 
 
 def compare_shaft_gains(logs: Sequence[tuple[str, Mapping[str, Held]]]) -> list[tuple[str, Finding]]:
@@ -112,27 +122,47 @@ def compare_shaft_gains(logs: Sequence[tuple[str, Mapping[str, Held]]]) -> list[
     for log, of_thrusters in logs:
         for thruster, held in of_thrusters.items():
             of_logs.setdefault(thruster, []).append((log, held))
-    found = []
-    for thruster, ((first_log, first), *others) in of_logs.items():
-        changes: dict[str, Change] = {}
+    changes: dict[str, dict[str, Change | None]] = {}  # by thruster and log
+    for thruster, ((_, first), *others) in of_logs.items():
+        changes[thruster] = {}
         for log, held in others:
             of_second = np.repeat([False, True], [first.t.size, held.t.size])
             command, speed = (np.concatenate([getattr(x, key) for x in (first, held)]) for key in ("command", "speed"))
-            change = _change(command, speed, of_second)
-            if change is not None and change.is_clear:
-                changes[log] = change
-        if changes:
-            log = max(changes, key=lambda name: abs(changes[name].change))
-            text = f"the shaft speed at equal commands is {changes[log].text} than in {first_log}"
-            found.append((log, _finding("shaft-speed-differs", thruster, text)))
+            changes[thruster][log] = _change(command, speed, of_second)
+    found = []
+    for thruster, of_thruster in changes.items():
+        clear = {log: change for log, change in of_thruster.items() if change is not None and change.is_clear}
+        if clear:
+            log = max(clear, key=lambda name: abs(clear[name].change))
+            text = f"the shaft speed at equal commands is {clear[log].text} than in {of_logs[thruster][0][0]}"
+            beside = [of_other.get(log) for name, of_other in changes.items() if name != thruster]
+            found.append((log, _finding("shaft-speed-differs", thruster, text, clear[log], beside)))
     return found
 
 
-def _finding(code: str, thruster: str, text: str) -> Finding:
-    """Return the warning of a change of the shaft speed of a thruster."""
+def _finding(code: str, thruster: str, text: str, change: Change, others: Sequence[Change | None]) -> Finding:
+    """Return the warning of a change of the shaft speed of a thruster.
+
+    ``others`` are the changes of the other thrusters; None if they are unknown. A change of all thrusters by the same
+    part points to their common supply, one of a single thruster to this thruster.
+    """
+    known = [other for other in others if other is not None]
+    if known and len(known) == len(others) and all(change.is_like(other) for other in known):
+        look = "all shafts changed alike, which points to their supply: look at the voltage of the battery"
+    elif known and not any(other.is_clear for other in known):
+        part = (
+            "weed, ice or a line around the propeller"
+            if change.change < 0.0
+            else "a propeller that slips or has lost a blade"
+        )
+        look = (
+            f"only this shaft changed, so the cause is hardly the battery: look for {part}, and at its speed controller"
+        )
+    else:
+        look = "look at the voltage of the battery, and for weed or a slipping propeller"
     advice = (
-        "look at the voltage of the battery, and for weed or a slipping propeller; a model with the shaft speeds as "
-        "inputs is not affected, but one of commands alone takes their ratio as constant"
+        f"{look}; a model with the shaft speeds as inputs is not affected, but one of commands alone takes their ratio "
+        "as constant"
     )
     return Finding(WARNING, code, "shaft", thruster, text, advice)
 

@@ -29,6 +29,7 @@ from .log_identity import part_of_line as part_of_line
 from .log_identity import part_of_log as part_of_log
 from .outliers import position_jumps as position_jumps
 from .outliers import without_outliers as without_outliers
+from .record import BLOCK_TIMES as BLOCK_TIMES
 from .record import SAME_TIME as SAME_TIME
 from .record import TIME_INPUT as TIME_INPUT
 from .record import WORK_INPUT as WORK_INPUT

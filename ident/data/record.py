@@ -7,6 +7,7 @@ A row of a record is one instant: it has the samples of this instant, and the in
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from seatrial.ident.model import Input, Model, Sensor, command_of, shaft_speed_of
 from seatrial.ident.numerics import Array
 
+BLOCK_TIMES = re.compile(r"\[[\d.e+-]+:[\d.e+-]+\]\Z")  # end of the name of a part of a record (`Record.part`)
 ON_CHANGE = 1.0  # s between samples; a command with longer intervals is logged only when it changes
 MEAN_S = 0.1  # length of a mean of samples; over 0.2 s, the smoothed yaw rate made m_r 4 % too large
 SHARE_LOST = 0.1  # of the record; the early end of one signal may cost so much without a warning
@@ -335,7 +337,9 @@ def build_record(
     -------
     Record
         Its rows are the union of the sample times of all sensors, of the changes of inputs with the hold ``zero`` that
-        are not averaged, of both ends of the record, and of the additional rows. ``meta["missing"]`` names the sensors
+        are not averaged, of both ends of the record, and of the additional rows. ``meta["mean_rates"]`` has, by name of
+        the sensor that is averaged, the rate [Hz] at which it gives independent means as long as those of the rows,
+        which can be more frequent than the rows. ``meta["missing"]`` names the sensors
         of which a channel is missing. ``meta["cut"]`` has the name of a signal that ends early and the seconds lost by
         it, if more than `SHARE_LOST` (10 %) of the record is lost and ``t_to`` is None.
 
@@ -376,6 +380,8 @@ def build_record(
     exact = [i for i in own if i.hold == "zero" and not (i.prefilter and window)]
     switches = [_change_times(channels[i.name]) for i in exact]
     t = _row_times(name, [times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
+    shortest = mean_length(rate)
+    mean_rates = {s.name: 1.0 / max(intervals[s.name], shortest) for s in present if s.averaged and s.name in fast}
     missing = tuple(s.name for s in model.sensors if s.name not in samples)
     lost_s, first = max(ends.values()) - end, min(ends, key=lambda n: ends[n])
     cut = {"cut": (first, lost_s)} if t_to is None and lost_s > SHARE_LOST * (lost_s + end - start) else {}
@@ -386,7 +392,7 @@ def build_record(
         _measurement_rows(model, samples, t),
         tuple(i.name for i in model.inputs),
         tuple(o.name for o in model.outputs),
-        {"missing": missing, "t0": start, **cut, **(meta or {})},
+        {"missing": missing, "t0": start, "mean_rates": mean_rates, **cut, **(meta or {})},
     )
 
 

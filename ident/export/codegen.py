@@ -482,6 +482,8 @@ def description_lines(content: Content, stepper: str = "") -> list[str]:
     lines += _physical_input_lines(content)
     if content.validity:
         lines += ["", "Range of the estimation data (the model is not validated beyond this range):"]
+        if {"u", "v", "r"} & set(content.validity):
+            lines.append("  Velocities: 98 % of the data, between the 1 % and 99 % quantiles. Inputs: all data.")
         lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in content.validity.items()]
     return [" ".join(line.splitlines()) for line in lines + _remark_lines(content)]
 

@@ -184,8 +184,8 @@ def outside_text(values: Mapping[str, float], ranges: Mapping[str, tuple[float, 
     Returns
     -------
     str
-        For example ``sway v = 0.265 m/s (data: -0.606 to 0.0983 m/s)``; empty if all are inside. Signals may leave
-        their range by a tenth of its width (`seatrial.ident.estimation.leaves_validity`).
+        For example ``sway v = 0.265 m/s (98 % of the data: -0.606 to 0.0983 m/s)``; empty if all are inside.
+        Signals may leave their range by a tenth of its width (`seatrial.ident.estimation.leaves_validity`).
     """
     found = []
     for name, value in values.items():
@@ -193,7 +193,9 @@ def outside_text(values: Mapping[str, float], ranges: Mapping[str, tuple[float, 
         if leaves_validity(value, value, (low, high)):
             word, unit = VELOCITIES.get(name, ("", ""))
             shown = f"{word} {name} = {value:.3g} {unit}".strip()
-            found.append(f"{shown} (data: {low:.3g} to {high:.3g} {unit}".rstrip() + ")")
+            # The range of a velocity is from its 1 % to its 99 % quantile, that of an input has all of its values.
+            data = "98 % of the data" if name in VELOCITIES else "data"
+            found.append(f"{shown} ({data}: {low:.3g} to {high:.3g} {unit}".rstrip() + ")")
     return ", ".join(found)
 
 

@@ -148,7 +148,7 @@ def constants(content: Content) -> list[str]:
         "OUTPUT_NOISE = {  # standard deviation of the noise of each output [unit]",
         *deviation,
         "}",
-        "VALID = {  # range of the estimation data",
+        "VALID = {  # range of the estimation data: 98 % of the velocities u, v, r, and all inputs",
         *valid,
         "}",
         f"HOLDS = {_tuple_text(content.holds)}  # physical inputs between their samples, as in the fit",

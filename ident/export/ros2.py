@@ -74,7 +74,7 @@ def write(content: Content) -> str:
         "measurement_noise", dict(zip(content.outputs, content.output_noise, strict=True)), "standard deviation, unit"
     )
     if content.validity:
-        rows.append("validity:")
+        rows.append("validity:  # 98 % of the velocities u, v, r, and all inputs of the estimation data")
         rows += [
             f"  {_yaml_key(n)}: [{_number_text(low)}, {_number_text(high)}]"
             for n, (low, high) in content.validity.items()

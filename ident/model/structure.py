@@ -445,6 +445,8 @@ class Effect:
     takes_over : tuple[str, ...]
         Names of parameters of the model that describe the same physics in another form. Their estimate of zero beside
         this effect needs no action.
+    at_lower_bound : Mapping[str, str]
+        What an estimate at the lower bound means and what to do, by name of the parameter: a clause for reports.
     """
 
     name: str
@@ -476,6 +478,7 @@ class Effect:
     thrust_difference: str = ""
     refuted_by: Callable[[Sequence[Mapping[str, Any]]], str] | None = None
     takes_over: tuple[str, ...] = ()
+    at_lower_bound: Mapping[str, str] = field(default_factory=dict)
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
         """Return whether this effect is the nonparametric curve of the force and variables of ``curve``.

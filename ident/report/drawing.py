@@ -6,7 +6,9 @@ A trace is a line, a set of dots or an area of a figure, in the JSON of Plotly.
 from __future__ import annotations
 
 import base64
+import heapq
 import html
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -134,6 +136,53 @@ def thinned(y: Array, limit: int) -> Index:
     return np.unique(np.concatenate([[0], np.minimum(start + low, n - 1), np.minimum(start + high, n - 1), [n - 1]]))
 
 
+def corners(x: Array, y: Array, limit: int) -> Index:
+    """Return the indices of at most ``limit`` points that keep the shape of a line of steps and ramps, ascending.
+
+    All indices are returned if n is at most ``limit``. `thinned` keeps the heights of a line, but joins the two levels
+    of a step by a ramp as long as one of its intervals.
+
+    Parameters
+    ----------
+    x, y
+        Coordinates (n,) of the line; x ascends. The ends of the gaps of y (NaN) are kept, if they are few enough.
+    limit
+        Largest number of points; four or more.
+
+    Notes
+    -----
+    The algorithm is that of Douglas and Peucker with vertical distances, and begins with the largest distance. Each new
+    point is the one farthest from the straight line between the two points beside it.
+    """
+    n = y.size
+    if n <= limit:
+        return np.arange(n)
+    good = np.isfinite(y)
+    change = np.flatnonzero(np.diff(good))
+    kept = list(np.unique(np.concatenate([[0], change, change + 1, [n - 1]])))
+    if len(kept) > limit:
+        return thinned(y, limit)
+    parts: list[tuple[float, int, int, int]] = []
+
+    def add(a: int, b: int) -> None:
+        """Add the part from index a to index b to the heap, unless the points between them are on one line."""
+        if b - a < 2 or not good[a] or not good[b]:
+            return
+        distance = np.abs(y[a + 1 : b] - np.interp(x[a + 1 : b], x[[a, b]], y[[a, b]]))
+        k = int(np.argmax(distance))
+        if distance[k] > 0.0:
+            heapq.heappush(parts, (-float(distance[k]), a, a + 1 + k, b))
+
+    for a, b in itertools.pairwise(kept):
+        add(int(a), int(b))
+    while parts and len(kept) < limit:
+        _, a, middle, b = heapq.heappop(parts)
+        kept.append(middle)
+        add(a, middle)
+        add(middle, b)
+    return np.sort(np.array(kept, dtype=np.intp))
+
+
 def strided(n: int, limit: int) -> Index:
     """Return the indices of at most ``limit`` of n points to draw, evenly spaced, with the first and the last point.
 
@@ -200,6 +249,15 @@ def escaped(words: str) -> str:
     return html.escape(words, quote=False).replace("%{", "% {")
 
 
+def step_trace(x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid") -> Trace:
+    """Return the trace of a line of steps and ramps, such as an input, of which `corners` keeps the shape.
+
+    The arguments are those of `line_trace`.
+    """
+    at = corners(x, y, limit)
+    return line_trace(x[at], y[at], name, at.size, color=color, dash=dash)
+
+
 def line_trace(
     x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid", turn: float | None = None
 ) -> Trace:
@@ -214,7 +272,8 @@ def line_trace(
     name
         Text in the legend and on hover.
     limit
-        Largest number of points that are drawn; a longer line is thinned, which may close short gaps of NaN.
+        Largest number of points that are drawn, besides those of gaps; a longer line is thinned. Gaps of NaN are kept,
+        unless they are more than an eighth of this number.
     color
         Colour, for example ``#0072B2``.
     dash
@@ -222,7 +281,7 @@ def line_trace(
     turn
         A full turn in the unit of y if y is a wrapped angle, for example 360; None for other signals.
     """
-    at = thinned(y, limit)
+    at = _with_ends_of_gaps(thinned(y, limit), y, limit // 8)
     style = {"color": color, "width": 1.6, "dash": dash}
     return _scatter(*_with_gaps_at_jumps(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
 
@@ -274,12 +333,19 @@ def continuous(angle: Array, turn: float) -> Array:
 
 
 def beside(t: Array, angle: Array, t_samples: Array, samples: Array) -> Array:
-    """Return a continuous angle (n,) [deg], shifted by whole turns so that its start is nearest to the samples (m,)."""
-    good, seen = np.isfinite(angle), np.isfinite(samples)
-    if not good.any() or not seen.any():
+    """Return a continuous angle (n,) [deg], shifted by whole turns so that its start is nearest to the samples (m,).
+
+    Each piece between two gaps (NaN) is shifted by itself, because a simulation may begin anew after a gap.
+    """
+    seen = np.isfinite(samples)
+    if not seen.any():
         return angle
-    first = float(np.interp(t[good][0], t_samples[seen], samples[seen]))
-    return angle + 360.0 * round((first - float(angle[good][0])) / 360.0)
+    found = angle.copy()
+    for piece in np.split(np.arange(angle.size), np.flatnonzero(np.diff(np.isfinite(angle))) + 1):
+        if piece.size and np.isfinite(angle[piece[0]]):
+            first = float(np.interp(t[piece[0]], t_samples[seen], samples[seen]))
+            found[piece] += 360.0 * round((first - float(angle[piece[0]])) / 360.0)
+    return found
 
 
 def angle_step(limits: Sequence[float] | None, curves: Sequence[Array | None] = ()) -> float:
@@ -300,6 +366,12 @@ def _indices_after_jumps(y: Array, turn: float | None) -> Index:
     ``turn`` is a full turn in the unit of y. If it is None, because y is no angle, the result is empty.
     """
     return np.flatnonzero(np.abs(np.diff(y)) > turn / 2) + 1 if turn else np.zeros(0, dtype=np.intp)
+
+
+def _with_ends_of_gaps(at: Index, y: Array, most: int) -> Index:
+    """Return indices of y (n,) with those of the ends of its gaps (NaN), if there are at most ``most`` gaps."""
+    change = np.flatnonzero(np.diff(np.isfinite(y)))
+    return np.union1d(at, np.append(change, change + 1)) if change.size <= 2 * most else at
 
 
 def _with_gaps_at_jumps(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:

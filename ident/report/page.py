@@ -20,6 +20,8 @@ from seatrial.daq.files import write_output
 from seatrial.ident.report import formatting, sections
 from seatrial.ident.report.blocks import Canvas, EffectCard, Grid, Prose, Section
 from seatrial.ident.report.drawing import DARK, TEMPLATE, Budget, Figure, compact
+from seatrial.ident.report.record_tabs import log_of_block
+from seatrial.ident.report.sections.runs import INPUT_POINTS
 from seatrial.ident.results import ComparisonResult, DiagnosisResult, Result, standard_error_sentence
 
 PLOTLY = "plotly-cartesian.min.js"  # the bundle with lines, heat maps and bars (docs/decisions/0036-vendored-plotly.md)
@@ -241,8 +243,16 @@ def _count_traces(result: Result) -> int:
     It is the sum over the tables of the result: number of rows times the number of traces that a row needs. The more
     traces the page has, the fewer points each of them gets.
     """
-    weights = {"traces": 8, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
+    weights = {"residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
     count = sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
+    for key, weight in {"traces": 8, "track": 3, "inputs": INPUT_POINTS}.items():
+        # The blocks of a log are drawn as one line, and its inputs once.
+        found = set()
+        for row in getattr(result, key, ()):
+            log = log_of_block(row.record, (x.name for x in result.logs))
+            name = getattr(row, "channel", getattr(row, "name", ""))
+            found.add((log or row.record, log is not None and key != "inputs", name))
+        count += weight * len(found)
     if isinstance(result, ComparisonResult):
         count = sum(1 + 2 * len(row.predictions) for row in result.traces)
     return count

@@ -6,7 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from seatrial.ident.results import LogSummary, Trace
+import msgspec
+import numpy as np
+
+from seatrial.daq.errors import counted
+from seatrial.ident.data import BLOCK_TIMES
+from seatrial.ident.numerics import Array
+from seatrial.ident.results import CURVES, LogSummary, Trace
 
 ROLES = ("validation", "estimation")  # order of the tabs: records that were not fitted are stronger evidence
 
@@ -34,18 +40,22 @@ class RecordTab:
         Role of the record: ``estimation``, ``validation``, ``navigated`` (its states were estimated by `seatrial ident
         navigate`), ``judged`` (its information was computed by `seatrial ident information`) or ``compared`` (models
         were compared on it); empty if unknown.
+    blocks
+        Names of the records of the tab, if they are blocks in time of the log ``name``; otherwise empty.
     """
 
     name: str
     role: str
+    blocks: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
         """Label of the tab, ``ROLE · NAME``. An empty part is left out, and a name equal to the role is not repeated.
 
-        The label is ``record`` if both are empty.
+        The label is ``record`` if both are empty. The number of blocks follows, if the tab has blocks.
         """
-        return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
+        title = " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
+        return f"{title}, {counted(len(self.blocks), 'block')}" if self.blocks else title
 
 
 def roles_of(logs: Sequence[LogSummary], traces: Sequence[Trace] = ()) -> dict[str, str]:
@@ -117,9 +127,70 @@ def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[Reco
     return sorted(tabs, key=lambda tab: order.get(tab.role, len(order)))
 
 
+def log_of_block(record: str, logs: Iterable[str]) -> str | None:
+    """Return the name of the log that a record is a block in time of; None if it is no block of any of the ``logs``.
+
+    A block has the name of its log and its times in brackets, for example ``run_01[55.8:111.6]``. A part of a log that
+    was fitted as a log of its own has a name of this form too, and is no block.
+    """
+    names = set(logs)
+    log = BLOCK_TIMES.sub("", record)
+    return log if log != record and record not in names and log in names else None
+
+
+def run_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str], logs: Sequence[LogSummary]) -> list[RecordTab]:
+    """Return the tabs of `record_tabs`, with one tab in place of those of all blocks of one log.
+
+    Parameters
+    ----------
+    rows
+        Table rows of a result, each of one record.
+    roles
+        Role of each record by its name. A record that is missing has an unknown role.
+    logs
+        Logs of the result.
+    """
+    names = [log.name for log in logs]
+    grouped: dict[tuple[str, str], RecordTab] = {}
+    for tab in record_tabs(rows, roles):
+        log = log_of_block(tab.name, names)
+        key = (tab.name if log is None else log, tab.role if log is None else f"{tab.role}, blocks")
+        before = grouped[key].blocks if key in grouped else ()
+        grouped[key] = tab if log is None else RecordTab(log, tab.role, (*before, tab.name))
+    return list(grouped.values())
+
+
 def of_record(rows: Iterable[R], tab: RecordTab) -> list[R]:
-    """Return those table rows of a result whose record has the name of the tab, in their order.
+    """Return those table rows of a result whose record is that of the tab, or one of its blocks, in their order.
 
     The role of the tab is not compared.
     """
-    return [row for row in rows if row.record == tab.name]
+    names = tab.blocks or (tab.name,)
+    return [row for row in rows if row.record in names]
+
+
+def by_channel(traces: Iterable[Trace]) -> list[list[Trace]]:
+    """Return the traces of each channel, in the order of the channels: one trace, or those of the blocks of a log."""
+    found: dict[str, list[Trace]] = {}
+    for row in traces:
+        found.setdefault(row.channel, []).append(row)
+    return list(found.values())
+
+
+def joined(blocks: Sequence[Trace]) -> Trace:
+    """Return one trace of the blocks of a log in their order, with a gap (NaN) between two blocks.
+
+    The record of the trace is that of the first block, and ``diverged`` is None if there are several blocks. A curve
+    that a block lacks is None.
+    """
+    if len(blocks) == 1:
+        return blocks[0]
+    curves: dict[str, Array | None] = {}
+    for axis, names in CURVES[Trace].items():
+        for name in (axis, *names):
+            found = [getattr(block, name) for block in blocks]
+            # the time of a gap is that of the point before it
+            ends = [a[-1:] if name == axis else np.full(a[-1:].size, np.nan) for a in found if a is not None]
+            whole = None if len(ends) < len(found) else [x for pair in zip(found, ends, strict=True) for x in pair]
+            curves[name] = None if whole is None else np.concatenate(whole[:-1])
+    return msgspec.structs.replace(blocks[0], diverged=None, **curves)

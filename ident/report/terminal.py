@@ -468,8 +468,11 @@ def _best_words(row: ComparedChannel) -> str:
     """Return the labels of the best models of a channel as text; a dash if there are none.
 
     It is ``all`` if there are more than two models and all are equally good. If a ratio to the best model has no
-    interval, the text ends with the number of blocks of time: ``a; no interval: 2 blocks``.
+    interval, the text ends with the number of blocks of time: ``a; no interval: 2 blocks``. If none has one, it names
+    no model: ``undecided; no interval: 2 blocks``.
     """
+    if row.undecided:
+        return f"undecided; {verdict_words(row.unproven[0])}"
     words = "all" if row.all_equal else " ".join(row.not_worse) or "–"
     return f"{words}; {verdict_words(row.unproven[0])}" if row.unproven else words
 

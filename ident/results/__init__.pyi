@@ -95,6 +95,7 @@ from .comparison import InformationCriteria as InformationCriteria
 from .comparison import LogScore as LogScore
 from .comparison import ModelDifference as ModelDifference
 from .comparison import PredictionKind as PredictionKind
+from .curves import CURVES as CURVES
 from .diagnosis import GivenModel as GivenModel
 from .diagnosis import diagnosis_result as diagnosis_result
 from .diagnosis import with_model_of_design as with_model_of_design

@@ -18,7 +18,7 @@ from seatrial.daq.checks import FAULT
 from seatrial.daq.errors import first_names
 from seatrial.ident.characterisation import MOVING, Levels, Quadratic, ThrustCurve, TurningShaft, steady_thrust
 from seatrial.ident.checks import FILTER_NOISE, filter_noise_options
-from seatrial.ident.data import ORIGIN, Record
+from seatrial.ident.data import BLOCK_TIMES, ORIGIN, Record
 from seatrial.ident.diagnosis import ModelUncertainty
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
@@ -1180,7 +1180,7 @@ def warm_up_notes(durations: Iterable[tuple[str, float]], kind: ModelKind = Mode
     ----------
     durations
         Name and duration [s] of each simulated record, or of each block in time of one. Of equal names the shortest
-        counts.
+        counts. Blocks of one record are counted, and the shortest of them is named.
     kind
         Kind of the modelled object, which the note names: the boat, or the thruster of a bench.
     """
@@ -1190,7 +1190,15 @@ def warm_up_notes(durations: Iterable[tuple[str, float]], kind: ModelKind = Mode
             short[name] = min(duration, short.get(name, duration))
     if not short:
         return []
-    covered = first_names([f"{max(d - WARM_UP, 0.0):.0f} of {d:.0f} s of {name}" for name, d in short.items()])
+    by_run: dict[str, list[str]] = {}
+    for name in short:
+        by_run.setdefault(BLOCK_TIMES.sub("", name), []).append(name)
+    parts = []
+    for run, names in by_run.items():
+        d = min(short[name] for name in names)
+        of = names[0] if len(names) == 1 else f"each of {len(names)} blocks of {run}"
+        parts.append(f"{max(d - WARM_UP, 0.0):.0f} of {d:.0f} s of {of}")
+    covered = first_names(parts)
     thing = "boat" if kind is ModelKind.VEHICLE else "thruster"
     return [f"{SIMULATION_COVERS} {covered}. What the {thing} does before is not in them."]
 

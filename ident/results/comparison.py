@@ -100,6 +100,12 @@ class ComparedChannel(Part, frozen=True, kw_only=True):
         return tuple(r for r in ratios if r is not None and r.verdict == "no-interval")
 
     @property
+    def undecided(self) -> bool:
+        """Whether no other model has an interval for its ratio to the best one, so that none is known to be better."""
+        others = [e.against_best for e in self.errors if e.model != self.best]
+        return bool(self.unproven) and all(r is None or r.verdict == "no-interval" for r in others)
+
+    @property
     def not_worse(self) -> tuple[str, ...]:
         """Labels of the best model and of those that are not distinguishable from it, in the order of the models.
 

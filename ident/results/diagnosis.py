@@ -355,7 +355,8 @@ def diagnosis_answer(
 def _waves_sentence(frequency: float) -> str:
     """Return the sentence on waves that the residuals show, and that the search did not try."""
     return (
-        f"The errors one step ahead have a narrow spectral peak at {format_number(frequency)} Hz, as of waves. Beside "
+        f"The errors one step ahead have a narrow spectral peak at {format_number(frequency)} Hz, as of waves, or of a "
+        "machine or a swinging sensor if only one channel has it. Beside "
         "common errors the search adds no waves, because predictions some seconds ahead are hardly better with them; "
         "`seatrial ident vehicle --effect waves` estimates them, which can improve short predictions and standard "
         "errors, and a diagnosis of that model may find more."

@@ -952,11 +952,11 @@ class Dynamics(Part, frozen=True, kw_only=True):
     ] = msgspec.field(default_factory=dict)
     speeds: Annotated[
         tuple[float, float] | None,
-        Meta(description="smallest and largest forward speed in the data of the fit [m/s]; null: unknown"),
+        Meta(description="1 % and 99 % quantile of the forward speed in the data of the fit [m/s]; null: unknown"),
     ] = None
     ranges: Annotated[
         dict[str, tuple[float, float]],
-        Meta(description="smallest and largest value of velocities and inputs in the data of the fit, by name"),
+        Meta(description="range in the fitted data by name: of velocities 1 % and 99 % quantile, of inputs all values"),
     ] = msgspec.field(default_factory=dict)
     course: Annotated[
         CourseStability | None, Meta(description="stability of a straight course; null: no pole of sway and yaw")
@@ -1008,10 +1008,17 @@ class SteadyBench(Part, frozen=True, kw_only=True):
     power_formula: Annotated[str, Meta(description="formula of `power` in words; empty: not measured")] = ""
     rpm_max: Annotated[float | None, Meta(description="full shaft speed [rev/min]; null: unknown")] = None
     expo: Annotated[float | None, Meta(description="ArduPilot's MOT_THST_EXPO; null: too few forward commands")] = None
+    offset: Annotated[
+        Array | None,
+        Meta(
+            description="fitted offset of the load cell in the log of each row [N]: `force` is the measured mean less "
+            "this offset; null: no load cell, or a result of an earlier version"
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         """Raise ValueError if the columns of the table differ in length."""
-        same_length(self, "command", "n", "force", "force_se", "voltage", "current", "power", "torque")
+        same_length(self, "command", "n", "force", "force_se", "voltage", "current", "power", "torque", "offset")
 
 
 class ShaftResponse(Part, frozen=True, kw_only=True):

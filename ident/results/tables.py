@@ -251,6 +251,9 @@ def _flag_text(flag: Flag, p: Parameter, value: float, reported: ReportedEstimat
         return f"{begin}: {why}. If the noise of the sensor is known, give it (--fix {p.name}=VALUE)"
     if at_low and (taken := next((e for e in reported.fit.model.effects if p.name in e.takes_over), None)) is not None:
         return f"{begin}: the effect {taken.name} describes this in another form. Nothing has to be done"
+    meanings = (e.at_lower_bound[p.name] for e in reported.fit.model.effects if p.name in e.at_lower_bound)
+    if at_low and (words := next(meanings, "")):
+        return f"{begin}: {words}"
     if at_low and bound == 0.0:
         return f"{begin}: the data do not show {p.meaning}. Fix it (--fix {p.name}=0), or add logs that excite it"
     return (

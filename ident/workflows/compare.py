@@ -814,8 +814,20 @@ def comparison_answer(result: ComparisonResult) -> str:
         words = f"No model is significantly better than ({first.label}) {first.name} {seconds:g} s ahead."
         if len(shown) == 1:
             words += f" {_change_words(*shown[0], first)}"
+        elif worse := [(m, ratio) for m, ratio in shown if ratio.verdict == "worse"]:
+            words += f" {_worse_words(worse, first)}"
     of = best[0] if best is not None else shown[0][0] if len(shown) == 1 else None
     return words if of is None else words + _other_horizons(of, result.horizons[1:])
+
+
+def _worse_words(worse: Sequence[tuple[ComparedModel, ComparedRatio]], reference: ComparedModel) -> str:
+    """Return a sentence that names the models whose error is significantly larger than that of the reference.
+
+    The models with the smallest error come first.
+    """
+    ordered = sorted(worse, key=lambda row: row[1].ratio)
+    names = ", ".join(f"({m.label}) {m.name} (error {ratio.ratio:.3g} times as large)" for m, ratio in ordered)
+    return f"Significantly worse than ({reference.label}): {names}."
 
 
 def _indistinguishable(result: ComparisonResult, seconds: float) -> str:

@@ -306,7 +306,8 @@ def _within_its_window(log: LoadedLog) -> LoadedLog:
 def write_tables(out: Path, result: ThrusterResult) -> None:
     """Write the tables of a thruster for other programs: steady.csv, and with a force lookup.csv and ardupilot.param.
 
-    steady.csv has a row for each steady command, with empty cells for what was not measured. lookup.csv has the command
+    steady.csv has a row for each steady command, with empty cells for what was not measured. Its force is the measured
+    mean less the fitted offset of the load cell, which has a column of its own. lookup.csv has the command
     and the shaft speed for evenly spaced forces, by the fitted curve, and 1 as ``extrapolated`` where no such speed was
     measured; inside the dead zone the command is zero. Both have the shaft speed in rev/min if the logs show which
     speed is full.
@@ -330,6 +331,7 @@ def write_tables(out: Path, result: ThrusterResult) -> None:
         **_in_rpm(table.n, table.rpm_max),
         "force_N": table.force,
         "force_se_N": table.force_se,
+        **({} if table.offset is None else {"subtracted_offset_N": table.offset}),
         "voltage_V": table.voltage,
         "current_A": table.current,
         "power_W": table.power,
@@ -413,7 +415,7 @@ def _steady_table(
     command was held.
     """
     has_force = "bias" in fitted.model.values
-    rows, names, formula = list[SteadyRow](), list[str](), ""
+    rows, names, offsets, formula = list[SteadyRow](), list[str](), list[float](), ""
     for i, (x, record) in enumerate(zip(loaded, records, strict=True)):
         files = [path for path in logs if path.name == TIMES.sub("", x.about["path"])]  # two may have the same name
         electrical, words = electrical_channels(files[0], x, name) if len(files) == 1 else ({}, "")
@@ -423,6 +425,7 @@ def _steady_table(
         found = steady_rows(channels, command_of(name), shaft_speed_of(name), bias)
         rows += found
         names += [record.name] * len(found)
+        offsets += [bias] * len(found)
     if not rows:
         return None
     columns = {key: np.array([getattr(row, key) for row in rows]) for key in SteadyRow.__dataclass_fields__}
@@ -433,6 +436,7 @@ def _steady_table(
         power_formula=formula,
         rpm_max=full.pop() if len(full) == 1 else None,  # logs with different full speeds have no common one
         expo=expo if np.isfinite(expo) else None,
+        offset=np.array(offsets) if has_force else None,
         **columns,
     )
 

@@ -273,12 +273,12 @@ class FitReport(Shown):
         names the test of a row, such as ``r ljung-box`` or ``r cross-correlation n_left``, after the record if there
         are several. The columns are:
 
-        - record, channel, test, and input of a cross-correlation;
+        - p, the p value;
         - statistic, the largest deviation that the test found: an autocorrelation, a distance of the cumulative
           periodogram from that of white noise, a residual in standard deviations, or a correlation coefficient;
         - statistic_is, the name of that statistic;
-        - p, the p value;
         - lag [s] of the largest correlation, and frequency [Hz] of the largest distance of the periodogram;
+        - record, channel, test, and input of a cross-correlation;
         - limit, the level below which p is a failure: 0.5 % for a test of whiteness, 1 % for normality, and 1 % divided
           by the number of correlations of the result for each of these;
         - verdict in words.

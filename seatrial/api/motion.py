@@ -415,11 +415,11 @@ class Steady(Shown):
                 error = "" if np.isnan(sd) else f" ± {number(sd, 2)}"
                 beyond = ""
                 if quantity == "u" and self.speeds is not None and value > self.speeds[1]:
-                    beyond = f", beyond the speeds of the data (up to {number(self.speeds[1], 2)} m/s)"
+                    beyond = f", beyond {number(self.speeds[1], 2)} m/s, below which 99 % of the data are"
                 if quantity == "r" and self.turn_rates is not None:
                     reached = factor * max(-self.turn_rates[0], self.turn_rates[1])  # to either side
                     if value > reached:
-                        beyond = f", beyond the turn rates of the data (up to {number(reached, 2)} deg/s)"
+                        beyond = f", beyond ± {number(reached, 2)} deg/s, within which 98 % of the data are"
                 drive = drive_word(curve.inputs)
                 if is_undetermined(float(value), float(sd)):
                     found.append(
@@ -562,9 +562,11 @@ def linearise(
         structure, ranges, known = _estimates(model)
         found = about_speed(structure, speed, known, chosen_conditions(structure, ranges, at))
     low, high = ranges.get("u", (-np.inf, np.inf))
-    if not low <= speed <= high:
+    # A limit that the text rounds to the speed itself is not exceeded.
+    if not min(low, float(f"{low:.3g}")) <= speed <= max(high, float(f"{high:.3g}")):
         text = (
-            f"{speed:g} m/s is outside the speeds of the fitted data, {low:.3g} to {high:.3g} m/s; choose one of these"
+            f"{speed:g} m/s is outside {low:.3g} to {high:.3g} m/s, within which 98 % of the speeds of the fitted data "
+            "are; choose one of these"
         )
         warn(text)
     if (sway_slopes(structure, np.array([speed]), found.u0[None], found.conditions) > 0.0).any():

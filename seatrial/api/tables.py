@@ -305,11 +305,13 @@ def residual_frame(result: FitResult | ComparedModel, on: Role = "estimation") -
     """Return the `residual_tests` of a fit as a ``pandas.DataFrame``; SeatrialError without pandas.
 
     The index names the test of each row, as `_test_labels` does: pandas prints the index in full, but leaves out
-    columns and rows of a large table.
+    columns and rows of a large table. It keeps the first and the last columns: p and the verdict.
     """
     pandas, rows = import_library("pandas"), residual_tests(result, on)
     index = pandas.Index(_test_labels(rows), name="name", dtype=object)
-    return pandas.DataFrame(rows, columns=list(ResidualTest._fields), index=index)
+    table = pandas.DataFrame(rows, columns=list(ResidualTest._fields), index=index)
+    first, last = ["p", "statistic"], ["limit", "verdict"]
+    return table[[*first, *(name for name in ResidualTest._fields if name not in (*first, *last)), *last]]
 
 
 def _test_labels(rows: Sequence[ResidualTest]) -> list[str]:

@@ -522,7 +522,8 @@ def test_a_printed_table_of_residual_tests_names_each_of_its_rows(fit: st.Fitted
     table = fit.residual_tests()
     with pandas.option_context("display.max_rows", 20, "display.width", 80):  # then five first and last rows
         lines = str(table).splitlines()
-    assert "..." in lines[1]  # columns are left out
+    assert "..." in lines[0] + lines[1]  # columns are left out
+    assert {"p", "verdict"} <= set(lines[0].split())
     shown = [table.iloc[k] for k in (*range(5), *range(-5, 0))]
     for row in shown:
         label = " ".join(filter(None, (row["channel"], row["test"], row["input"])))
@@ -917,8 +918,20 @@ def test_linearisation_is_shown_in_a_few_lines_and_warns_outside_the_data(fit: s
     assert repr(at).count("time constant") == len(at.poles)
     (bode,) = at.bode("straight").values()
     assert repr(bode).startswith(f"Bode({bode.frequency.size} frequencies, ")
-    with pytest.warns(SeatrialWarning, match=r"1.8 m/s is outside the speeds of the fitted data"):
+    with pytest.warns(SeatrialWarning, match=r"1.8 m/s is outside \S+ to \S+ m/s, within which 98 % of the speeds of"):
         st.linearise(fit, 1.8)
+
+
+@pytest.mark.parametrize("most", [1.0996, 1.1004])
+def test_limit_of_the_speeds_as_printed_gives_no_warning(fit: st.FittedVehicle, tmp_path: Path, most: float) -> None:
+    model = fit.save(tmp_path / "fit") / "model.toml"
+    model.write_text(re.sub(r"(?m)^u = .*$", f"u = [-0.8, {most}]", model.read_text()))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        st.linearise(model, 1.1)
+    assert not [w for w in caught if "is outside -0.8" in str(w.message)]
+    with pytest.warns(SeatrialWarning, match="1.11 m/s is outside -0.8 to 1.1 m/s, within which"):
+        st.linearise(model, 1.11)
 
 
 def test_operating_point_outside_the_data_warns(fit: st.FittedVehicle, tmp_path: Path) -> None:
@@ -926,7 +939,7 @@ def test_operating_point_outside_the_data_warns(fit: st.FittedVehicle, tmp_path:
     text = re.sub(r"(?m)^v = .*$", "v = [0.2, 0.5]", model.read_text())
     model.write_text(text)
     with pytest.warns(
-        SeatrialWarning, match=r"at 0.5 m/s is outside the fitted data: sway v = \S+ m/s \(data: 0.2 to 0.5"
+        SeatrialWarning, match=r"at 0.5 m/s is outside the fitted data: sway v = \S+ m/s \(98 % of the data: 0.2 to 0.5"
     ):
         at = st.linearise(model, 0.5)
     assert "The operating point is outside the fitted data: sway v" in at._repr_html_()
@@ -1108,15 +1121,15 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert {trace["name"] for trace in replace(steady, speeds=None).plot().data} == names - {"speed, beyond the data"}
     fastest = steady.straight.value[-1]
     slow = replace(steady, speeds=(-0.2, 0.5 * fastest))
-    assert f"beyond the speeds of the data (up to {0.5 * fastest:.2g} m/s)." in slow.answer
+    assert f"beyond {0.5 * fastest:.2g} m/s, below which 99 % of the data are." in slow.answer
     assert steady.speeds == pytest.approx(tomllib.loads(text)["validity"]["u"], rel=1e-3)
     line = next(trace for trace in slow.plot().data if trace["name"] == "speed, beyond the data")
     assert line["line"]["dash"] == "dot"
     frame = steady.to_pandas()
     assert len(frame) == steady.straight.command.size + turn.command.size
     reached = replace(steady, turn_rates=(-0.02, 0.01)).answer
-    assert ", beyond the turn rates of the data (up to 1.1 deg/s)" in reached
-    assert "turn rates of the data" not in replace(steady, turn_rates=(-9.0, 9.0)).answer
+    assert ", beyond ± 1.1 deg/s, within which 98 % of the data are" in reached
+    assert "within which" not in replace(steady, turn_rates=(-9.0, 9.0)).answer
     saved = st.load(fit.save(tmp_path / "saved"))
     assert (saved.warnings, saved.converged) == (fit.warnings, True)
     with pytest.raises(SeatrialError, match=r"no result.json of a fit was loaded"):

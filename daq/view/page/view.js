@@ -161,7 +161,7 @@ function panelOf(signals, last) {
     scales: { x: { time: false, range: () => page.view }, y: { range: (u, low, high) => (low === null ? [-1, 1] : uPlot.rangeNum(low, high === low ? low + 1 : high, 0.08, true)) } },
     axes: [
       { ...axis, size: last ? 44 : 8, label: last ? "time [s of the log]" : undefined, labelSize: 18, labelFont: "12px system-ui, sans-serif", values: last ? undefined : () => [] },
-      { ...axis, size: 62 },
+      { ...axis, size: 62, space: 20 },  // a panel is low: with the usual 30 px between ticks, an axis can have one
     ],
     series: [{}, ...signals.map((signal, k) => ({
       label: signal.name, stroke: colour(`--s${k % 6}`), width: 1.4, dash: DASHES[k % 6], spanGaps: false,

@@ -84,5 +84,19 @@ EFFECT = Effect(
     requires=("hull",),
     one_sided=True,
     alternatives=("pendulum",),
+    at_lower_bound={
+        "zeta_wave": (
+            "the motion at this frequency is nearly periodic, as of a machine (a motor, a pump, a turning antenna), of "
+            "a gyro that swings on its mounting, or of regular swell; the waves of wind have a wider peak. See whether "
+            "the frequency follows the shaft speeds, and whether it is also there at rest with the motors off"
+        ),
+        **{
+            f"A_{force}": (
+                "the data show no such force. If only one of A_X, A_Y and A_N is larger than zero, the cause may be a "
+                "machine or the mounting of a sensor instead of waves"
+            )
+            for force in FORCES
+        },
+    },
 )
 WAVES = EFFECT  # the name in the package `seatrial.ident.effects`, which exports no other effect

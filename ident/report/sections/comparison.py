@@ -245,10 +245,13 @@ def best_section(result: ComparisonResult) -> Section:
 def _best_cell(row: ComparedChannel | None) -> Cell:
     """Return the table cell with the labels of the best models of a channel, as ``(a) or (b)``; a dash without any.
 
-    It is ``all`` if there are more than two models and all are equally good.
+    It is ``all`` if there are more than two models and all are equally good, and names no model if no ratio to the
+    smallest error has an interval: ``undecided; no interval: 2 blocks``.
     """
     if row is None or row.best is None:
         return Cell("–")
+    if row.undecided:
+        return Cell(f"undecided; {verdict_words(row.unproven[0])}")
     best = [row.best, *(label for label in row.not_worse if label != row.best)]
     words = "all" if row.all_equal else " or ".join(f"({label})" for label in best)
     if row.unproven:

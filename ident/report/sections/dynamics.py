@@ -84,7 +84,7 @@ def _straight_plot(canvas: Canvas, curve: SteadyCurve, speeds: tuple[float, floa
     ]
     beyond = len(traces) > 2
     figure = drawing.single(traces, _command(curve), "speed [m/s]", hovermode="closest")
-    title = "Steady speed on a straight course" + ("; dotted: beyond the speeds of the data" if beyond else "")
+    title = "Steady speed on a straight course" + ("; dotted: beyond the speeds of 98 % of the data" if beyond else "")
     return canvas.plot(figure, 320, f"Steady speed against {drive_word(curve.inputs)}", title)
 
 
@@ -116,8 +116,8 @@ def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve], rates: tuple[float
     if rates is not None:
         reached = max(-rates[0], rates[1])  # to either side
         if any(np.nanmax(np.abs(c.value), initial=0.0) > reached for c in curves):
-            title += f"; beyond {formatting.plain(float(np.degrees(reached)), 2)} deg/s, the largest of the data, "
-            title += "extrapolated"
+            title += f"; extrapolated beyond ± {formatting.plain(float(np.degrees(reached)), 2)} deg/s, within which "
+            title += "98 % of the data are"
     return canvas.plot(figure, 320, against, title)
 
 

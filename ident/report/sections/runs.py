@@ -5,16 +5,28 @@ They show logs and inputs, channels measured and predicted or simulated over tim
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
-from seatrial.ident.report.record_tabs import RecordTab, of_record, origin_lines, origin_words, record_tabs, roles_of
+from seatrial.ident.report.record_tabs import (
+    RecordTab,
+    by_channel,
+    joined,
+    log_of_block,
+    of_record,
+    origin_lines,
+    origin_words,
+    record_tabs,
+    roles_of,
+    run_tabs,
+)
 from seatrial.ident.results import (
     ErrorComparison,
     ErrorTable,
@@ -26,6 +38,8 @@ from seatrial.ident.results import (
 )
 
 TIME = "time since the start of the log [s]"
+INPUT_POINTS = 4  # times the points of another curve: the steps of an input need more than a smooth curve
+MOST_INPUT_POINTS = 3000
 
 
 def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:
@@ -49,7 +63,10 @@ def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[Inp
     warnings = [f"{_log_name(row)}: {line}" for row in logs for line in row.warnings]
     if warnings:
         blocks.append(Lines(warnings, "warning"))
-    tabs = record_tabs(inputs, roles_of(logs))
+    # The inputs of the blocks of a log are parts of those of the log.
+    of_logs = {row.record for row in inputs}
+    whole = [row for row in inputs if log_of_block(row.record, (x.name for x in logs)) not in of_logs]
+    tabs = record_tabs(whole, roles_of(logs))
     blocks += tabbed([(tab.title, _input_blocks(canvas, of_record(inputs, tab), tab)) for tab in tabs])
     return Section("run", "Runs and inputs", blocks)
 
@@ -92,8 +109,8 @@ def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) 
             if drawing.drawable(row.value) is not None:
                 color, dash = drawing.LINES[i % 6], ("solid", "dot")[i % 2]
                 name = formatting.symbol(row.name) if len(members) > 1 else formatting.titled(row.name)
-                value, limit = factor * row.value, canvas.budget.points
-                traces.append(drawing.line_trace(row.t, value, name, limit, color=color, dash=dash))
+                value, limit = factor * row.value, min(INPUT_POINTS * canvas.budget.points, MOST_INPUT_POINTS)
+                traces.append(drawing.step_trace(row.t, value, name, limit, color=color, dash=dash))
                 names.append(f"{name} ({('solid', 'dotted')[i % 2]})" if len(members) > 1 else name)
         if traces:
             panels.append(drawing.Panel(" · ".join(names) + formatting.bracket(shown), traces))
@@ -117,14 +134,14 @@ def prediction_section(canvas: Canvas, result: FitResult) -> Section:
         Result of a fit, with the predictions over the horizon.
     """
     seconds = result.horizon_seconds
-    found = record_tabs(result.traces, roles_of(result.logs, result.traces))
+    found = run_tabs(result.traces, roles_of(result.logs, result.traces), result.logs)
     tabs = [(tab.title, _prediction_blocks(canvas, result, of_record(result.traces, tab), tab)) for tab in found]
     if not any(blocks for _, blocks in tabs):
         return Section("prediction", "", [])
     compared = any(row.horizon_before is not None for row in result.traces)
     lead = (
         f"Each value is predicted from the filtered state {seconds:g} s earlier and the inputs since then. "
-        "The fit in the panel titles is over all records with the same role."
+        f"The fit in the panel titles is over all records with the same role.{_block_sentence(found)}"
     )
     key = _legend(f"predicted {seconds:g} s ahead", compared)
     return Section("prediction", f"Predicted {seconds:g} s ahead against measured", [key, *tabbed(tabs)], lead)
@@ -142,12 +159,13 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
     result
         Result of a fit, with the simulations and tracks.
     """
+    found = run_tabs([*result.traces, *result.track], roles_of(result.logs, result.traces), result.logs)
     tabs = [
         (
             tab.title,
             _simulation_blocks(canvas, result, of_record(result.traces, tab), tab) + _track_blocks(canvas, result, tab),
         )
-        for tab in record_tabs([*result.traces, *result.track], roles_of(result.logs, result.traces))
+        for tab in found
     ]
     if not any(blocks for _, blocks in tabs):
         return Section("traces", "", [])
@@ -156,9 +174,15 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
     errors = ", so that small errors of speed and heading accumulate in the position" if moves else ""
     lead = (
         f"After the first 15 s, the simulation uses the inputs alone{errors}. The fit in the panel titles is over all "
-        "records with the same role."
+        f"records with the same role.{_block_sentence(found)}"
     )
     return Section("traces", "Simulated against measured", [_legend("simulated", compared), *tabbed(tabs)], lead)
+
+
+def _block_sentence(tabs: Sequence[RecordTab]) -> str:
+    """Return the sentence on the blocks in time of a log, with a leading space; empty if no tab has blocks."""
+    words = " A log in blocks is predicted and simulated anew in each block of time, by a fit to the other blocks."
+    return words if any(tab.blocks for tab in tabs) else ""
 
 
 def _legend(model: str, compared: bool) -> Key:
@@ -185,12 +209,15 @@ class _Curves:
         Standard deviation of ``model``.
     before : Array (n,) or None
         The same as ``model`` by the model before effects were added; None if no models are compared.
+    in_blocks : bool
+        Whether the curves are those of blocks in time, with gaps between them.
     """
 
     t: Array
     model: Array
     sd: Array
     before: Array | None
+    in_blocks: bool = False
 
 
 def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
@@ -200,14 +227,14 @@ def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
     added to ``canvas``. The list is empty without finite values. ``rows`` has the channels of the record, and ``tab``
     its title.
     """
-    panels = []
-    for row in rows:
-        curves = _Curves(row.t_horizon, row.horizon, row.sd_horizon, row.horizon_before)
+    panels, channels = [], by_channel(rows)
+    for row in map(joined, channels):
+        curves = _Curves(row.t_horizon, row.horizon, row.sd_horizon, row.horizon_before, bool(tab.blocks))
         note = _fit_note(_errors_of(result, row.role).horizon.get(row.channel))
         if panel := _channel_panel(canvas, row, curves, note):
             panels.append(panel)
     found = _stacked(canvas, panels, f"Measured and predicted {result.horizon_seconds:g} s ahead, {tab.title}")
-    wide = [(row, row.t_horizon, row.sd_horizon) for row in rows]
+    wide = [(row, row.t_horizon, row.sd_horizon) for row in (_widest(c, lambda x: x.sd_horizon) for c in channels)]
     return [*found, *_wide_bands(wide, result.horizon_seconds, result), *_predicted_track(canvas, result, rows, tab)]
 
 
@@ -219,16 +246,37 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
     were added is drawn as a whole. The figure is added to ``canvas``. The list is empty without finite values. ``rows``
     has the channels of the record, and ``tab`` its title.
     """
-    panels = []
-    for row in rows:
-        note, model, sd = _fit_note(_errors_of(result, row.role).simulation.get(row.channel)), row.model, row.sd
-        if row.diverged is not None:
-            note = f"simulation diverged after {row.diverged - row.t[0]:.0f} s"
-            model, sd = (np.where(row.t < row.diverged, curve, np.nan) for curve in (model, sd))
-        if panel := _channel_panel(canvas, row, _Curves(row.t, model, sd, row.before), note, simulated=True):
+    panels, channels = [], by_channel(rows)
+    for blocks in channels:
+        note = _fit_note(_errors_of(result, blocks[0].role).simulation.get(blocks[0].channel))
+        ends = [(row.diverged - row.t[0], row) for row in blocks if row.diverged is not None]
+        if ends and len(blocks) > 1:
+            note = f"simulation diverged in {len(ends)} of {len(blocks)} blocks"
+        elif ends:
+            note = f"simulation diverged after {ends[0][0]:.0f} s"
+        row = joined([_until_divergence(block) for block in blocks])
+        curves = _Curves(row.t, row.model, row.sd, row.before, bool(tab.blocks))
+        if panel := _channel_panel(canvas, row, curves, note, simulated=True):
             panels.append(panel)
     found = _stacked(canvas, panels, f"Measured and simulated over time, {tab.title}")
-    return [*found, *_wide_bands([(row, row.t, row.sd) for row in rows if row.diverged is None], None, result)]
+    steady = [blocks for group in channels if (blocks := [row for row in group if row.diverged is None])]
+    return [
+        *found,
+        *_wide_bands([(row, row.t, row.sd) for row in (_widest(c, lambda x: x.sd) for c in steady)], None, result),
+    ]
+
+
+def _until_divergence(row: Trace) -> Trace:
+    """Return a channel whose simulation has gaps (NaN) from its divergence on."""
+    if row.diverged is None:
+        return row
+    model, sd = (np.where(row.t < row.diverged, curve, np.nan) for curve in (row.model, row.sd))
+    return msgspec.structs.replace(row, model=model, sd=sd)
+
+
+def _widest(blocks: Sequence[Trace], sd: Callable[[Trace], Array]) -> Trace:
+    """Return the block of a log with the largest standard deviation, which ``sd`` returns (n,) for a block."""
+    return max(blocks, key=lambda row: float(np.max(sd(row), initial=0.0, where=np.isfinite(sd(row)))))
 
 
 # Why the interval of a channel grows if no measurement corrects it
@@ -255,7 +303,9 @@ def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | No
     by_reason: dict[str, list[str]] = {}
     for row, t, sd in found:
         if (wide := wide_band(row, t, sd, horizon, forces)) is not None:
-            by_reason.setdefault(wide[1], []).append(wide[0])
+            block = log_of_block(row.record, (x.name for x in result.logs)) is not None
+            of = f" of the block from {row.t[0]:.0f} to {row.t[-1]:.0f} s" if block else ""
+            by_reason.setdefault(wide[1], []).append(wide[0] + of)
     lines = [f"Wide interval of {', '.join(places)}: {why}." for why, places in by_reason.items()]
     return [Lines(lines, "quiet")] if lines else []
 
@@ -319,15 +369,15 @@ def _predicted_track(canvas: Canvas, result: FitResult, rows: Sequence[Trace], t
     The list is empty if the record has no positions with predictions. ``rows`` has the channels of the record, and
     ``tab`` its title. The figure is added to ``canvas``.
     """
-    found = {row.channel: row for row in rows}
-    if not {"x", "y"} <= set(found):
-        return []
-    x, y, origin = found["x"], found["y"], origin_words(result.logs, tab.name)
-    if x.t.size != y.t.size or x.t_horizon.size != y.t_horizon.size:
-        return []
-    traces = _path_traces("measured", x.measured, y.measured, canvas.budget.points)
-    traces += _path_traces("before", x.horizon_before, y.horizon_before, canvas.budget.points)
-    predicted = _path_traces("model", x.horizon, y.horizon, canvas.budget.points)
+    found = {(row.record, row.channel): row for row in rows}
+    pairs = [(x, found[name, "y"]) for (name, channel), x in found.items() if channel == "x" and (name, "y") in found]
+    pairs = [(x, y) for x, y in pairs if x.t.size == y.t.size and x.t_horizon.size == y.t_horizon.size]
+    origin, limit = origin_words(result.logs, tab.name), canvas.budget.points // max(len(pairs), 1)
+    traces, predicted = [], []
+    for x, y in pairs:
+        traces += _path_traces("measured", x.measured, y.measured, limit)
+        traces += _path_traces("before", x.horizon_before, y.horizon_before, limit)
+        predicted += _path_traces("model", x.horizon, y.horizon, limit)
     if not predicted:
         return []
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
@@ -411,7 +461,7 @@ def _channel_panel(
     measured, model, before = (_wrapped_angle(a, turn) for a in (measured, model, before))
     traces = []
     if model is not None and sd is not None:
-        traces.append(drawing.band(curves.t, model, drawing.Z95 * sd, limit, turn=turn))
+        traces.append(drawing.band(curves.t, model, drawing.Z95 * sd, limit, turn=turn, gaps=curves.in_blocks))
     if measured is not None:
         traces.append(drawing.dots(row.t, measured, "measured", limit, turn=turn))
     if before is not None:
@@ -447,19 +497,17 @@ def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any
     It has the measured and the simulated track, and that simulated by the model before effects were added. ``tab`` is
     the tab of the record. The figure is added to ``canvas``.
     """
-    plots, origin = [], origin_words(result.logs, tab.name)
-    for row in of_record(result.track, tab):
-        styles = (
-            ("measured", row.x_measured, row.y_measured),
-            ("before", row.x_before, row.y_before),
-            ("model", row.x_model, row.y_model),
-        )
-        traces = [t for style, x, y in styles for t in _path_traces(style, x, y, canvas.budget.points)]
-        if traces:
-            equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
-            figure = drawing.single(traces, f"east{origin} [m]", f"north{origin} [m]", hovermode="closest", yaxis=equal)
-            plots.append(canvas.plot(figure, 420, f"Track, {tab.title}", "Track, north up"))
-    return [Grid(plots, 320, "narrow" if len(plots) == 1 else "")] if plots else []
+    rows, origin = of_record(result.track, tab), origin_words(result.logs, tab.name)
+    traces: list[drawing.Trace] = []
+    for style in ("measured", "before", "model"):
+        for row in rows:
+            x, y = getattr(row, f"x_{style}"), getattr(row, f"y_{style}")
+            traces += _path_traces(style, x, y, canvas.budget.points // len(rows))
+    if not traces:
+        return []
+    equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
+    figure = drawing.single(traces, f"east{origin} [m]", f"north{origin} [m]", hovermode="closest", yaxis=equal)
+    return [Grid([canvas.plot(figure, 420, f"Track, {tab.title}", "Track, north up")], 320, "narrow")]
 
 
 def _path_traces(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:

@@ -54,8 +54,20 @@ def steady_section(canvas: Canvas, result: ThrusterResult) -> Section:
         + (", and lookup.csv the command for each force." if result.static is not None else ".")
     )
     lead = "Means over the second half of each command that was held for 1.6 s or longer, and over at least 0.6 s."
+    if words := _offset_sentence(table):
+        lead += f" {words}"
     blocks = [Grid(plots, 260), _steady_table(table), Lines(notes, "quiet")]
     return Section("steady", "Steady states", blocks, lead)
+
+
+def _offset_sentence(table: SteadyBench) -> str:
+    """Return the sentence on the offset of the load cell, which the forces of the table are without; may be empty."""
+    if table.offset is None:
+        return ""
+    by_log = dict(zip(table.log, (formatting.plain(float(x), 3) for x in table.offset), strict=True))
+    same = len(set(by_log.values())) == 1
+    values = [f"{x} N" for x in by_log.values()][:1] if same else [f"{x} N in {name}" for name, x in by_log.items()]
+    return f"The force is the measured one less the fitted offset of the load cell: {', '.join(values)}."
 
 
 def _points(canvas: Canvas, x_title: str, x: Array, y: Array, y_title: str, title: str) -> Plot:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -452,6 +453,19 @@ def test_times_of_one_signal_are_shifted(folder: Path) -> None:
     (t_command, _), (t_heading, _) = values(out, "n_left"), values(out, "psi")
     assert len(t_command) == len(t_heading) == 6
     np.testing.assert_allclose(np.subtract(t_heading, t_command), 0.1, atol=1e-9)
+
+
+def test_a_shift_that_the_map_asks_for_gives_no_warning(folder: Path) -> None:
+    """The first command is before zero by its own shift only; all times of the log are later by it, without a word."""
+    rows = "t,cmd,heading\n" + "".join(f"{0.05 * k:.2f},{0.1 * k:.1f},{k}\n" for k in range(6))
+    csv_map, files = write(folder, rows)
+    csv_map.write_text(csv_map.read_text() + "time_shift = -0.05\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (out,) = import_files(csv_map, files)
+    np.testing.assert_allclose(values(out, "n_left")[0], 0.05 * np.arange(6), atol=1e-9)
+    np.testing.assert_allclose(values(out, "psi")[0], 0.05 * np.arange(1, 7), atol=1e-9)
+    assert open_log(out).metadata["import.time_shift_s"] == "0.05"
 
 
 def test_repeats_that_are_left_out_extend_a_command(folder: Path) -> None:

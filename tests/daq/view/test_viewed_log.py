@@ -7,6 +7,8 @@ import os
 import shlex
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import click
 import numpy as np
@@ -17,8 +19,10 @@ from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.import_map import parse_import_map
 from seatrial.daq.log.reader import open_log
 from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.log.tables import LogTable
 from seatrial.daq.samples import Ahrs, Command, Frame, Gnss, LoadCell, Scalar
 from seatrial.daq.view import viewed_log
+from seatrial.daq.view.columns import Columns
 from seatrial.daq.view.content import CUT, LIVE, WAITING, WHOLE
 from seatrial.daq.view.viewed_log import ViewedLog
 from seatrial.ident.data.loading import TimeWindow, load_run
@@ -80,6 +84,19 @@ def test_a_curve_has_the_samples_of_the_log(tmp_path: Path) -> None:
     assert last.t[-1] == pytest.approx(19.98, abs=0.03)  # a command holds to the end of the log
     (row,) = [row for row in viewed.content().tables if row.topic == "/ahrs/imu"]
     assert (row.gap, row.gap_at, row.expected) == pytest.approx((2.0, 4.0, 50.0), abs=0.05)
+
+
+@pytest.mark.parametrize("seconds", [30.0, 4.0])
+def test_the_recent_rate_does_not_count_both_ends(seconds: float) -> None:
+    t = T0 + 0.1 * np.arange(round(10 * seconds) + 1)
+    rows = np.zeros(t.size, [("t", "f8"), ("value", "f8")])
+    rows["t"] = t
+    table = SimpleNamespace(kind=Scalar, source="n", units={}, held=False, rows=rows)
+    columns = Columns(cast(LogTable, table), "", "signals", "/signal/n")
+    columns.append(rows)
+    row = columns.row(T0, float(t[-1]), np.nan)
+    assert row.recent == pytest.approx(10.0, rel=1e-3)
+    assert columns.row(T0, float(t[-1]) + 5.0, np.nan).recent == pytest.approx(5.0 if seconds > 10.0 else 40 / 9.0)
 
 
 def test_the_track_is_in_metres(tmp_path: Path) -> None:

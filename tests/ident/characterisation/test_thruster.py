@@ -18,6 +18,7 @@ from seatrial.ident.characterisation.thruster import largest_speeds, steady_thru
 from seatrial.ident.data.record import Channel
 from seatrial.ident.estimation.prior_knowledge import fix_parameters
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.report.formatting import plain
 from seatrial.ident.results.answers import thruster_answer
 
 pytestmark = pytest.mark.usefixtures("quick_compilation")
@@ -197,6 +198,9 @@ def test_tables_for_other_programs_are_written(tmp_path: Path) -> None:
     assert steady["n"][held] == pytest.approx(0.6, abs=0.01)
     assert steady["force_N"][held] == pytest.approx(41.1 * 0.36, abs=0.5)
     assert np.isnan(steady["power_W"]).all()  # the log has no current
+    model = tomllib.loads((tmp_path / "t/model.toml").read_text())
+    offset = next(float(p["value"]) for p in model["parameter"] if p["name"] == "bias")
+    np.testing.assert_allclose(steady["subtracted_offset_N"], offset, rtol=1e-5)
     table = np.genfromtxt(tmp_path / "t/lookup.csv", delimiter=",", names=True)
     assert np.all(np.diff(table["force_N"]) > 0.0)
     assert np.all(np.diff(table["command"]) >= 0.0)
@@ -208,6 +212,7 @@ def test_tables_for_other_programs_are_written(tmp_path: Path) -> None:
     assert float(value) == pytest.approx(1.0, abs=0.05)
     page = (tmp_path / "t/report.html").read_text(encoding="utf-8")
     assert "Bode plot" in page
+    assert f"less the fitted offset of the load cell: {plain(offset, 3)} N." in page
     assert "Force against command" in page
     assert "MOT_THST_EXPO = " in page
     assert "heading accumulate" not in page

@@ -50,6 +50,29 @@ def test_shaft_that_slows_down_within_a_log_is_named(lost: float) -> None:
         assert " lower than in the first" in found[0].text
 
 
+@pytest.mark.parametrize(
+    ("right", "words"),
+    [
+        (0.14, "all shafts changed alike, which points to their supply: look at the voltage of the battery; a model"),
+        (0.0, "only this shaft changed, so the cause is hardly the battery: look for weed"),
+        (None, "look at the voltage of the battery, and for weed or a slipping propeller; a model"),
+    ],
+)
+def test_shafts_that_slow_down_alike_point_to_the_battery(right: float | None, words: str) -> None:
+    channels = log_of(0, lambda part: 1.0 - 0.15 * part)
+    logs = [("a", log_of(1)), ("b", log_of(2, 0.85))]
+    if right is not None:
+        other = log_of(3, lambda part: 1.0 - right * part)
+        channels |= {name.replace("left", "right"): channel for name, channel in other.items()}
+        for (_, c), seed, gain in zip(logs, (4, 5), (1.0, 1.0 - right), strict=True):
+            c |= {name.replace("left", "right"): channel for name, channel in log_of(seed, gain).items()}
+    found = [f for f in check_shaft_gain(channels) if f.where == "left"]
+    found += [f for _, f in compare_shaft_gains([(n, held_of_thrusters(c)) for n, c in logs]) if f.where == "left"]
+    assert len(found) == 2
+    for finding in found:
+        assert finding.advice.startswith(words)
+
+
 def test_log_that_differs_most_from_the_first_is_named() -> None:
     logs = [("a", log_of(1)), ("b", log_of(2, 0.95)), ("c", log_of(3, 0.88)), ("d", log_of(4, 0.99))]
     ((log, finding),) = compare_shaft_gains([(name, held_of_thrusters(c)) for name, c in logs])

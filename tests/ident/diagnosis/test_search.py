@@ -361,7 +361,7 @@ def test_unexplained_residuals_name_the_score_test_that_contradicts_the_model() 
 
 def test_waves_that_were_not_tried_are_named() -> None:
     """The answer has them if nothing else is missing, otherwise a note."""
-    words = "have a narrow spectral peak at 0.55 Hz, as of waves."
+    words = "have a narrow spectral peak at 0.55 Hz, as of waves, or of a machine or a swinging sensor if"
     fitted = blank(cross_validated=False, fit=blank(flags=()))
     found = Diagnosis(blank(), fitted, (), (), (), untried_waves=0.546875)
     assert words in diagnosis_answer(found, None, 10.0)

@@ -162,6 +162,7 @@ def test_header_describes_inputs_validity_and_omissions(target: str) -> None:
         "a.mcap sha256:12",
         "n_left_ago_1 to u[9] n_left_ago_8: n_left [-], 8 delayed copies, 0.1 to 0.8 s late",
         "NAME~K",
+        "Velocities: 98 % of the data, between the 1 % and 99 % quantiles. Inputs: all data.",
         "u from -0.5 to 1.2",
         "Left out, as a controller does not need them: b_X, b_Y, b_N, bias_",
         "|n_left|^3",

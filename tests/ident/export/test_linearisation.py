@@ -87,7 +87,10 @@ def test_operating_point_outside_the_data_is_named_with_its_drift(found: LinearM
     assert beside.outside == "" if 0.05 * sway + 0.06 > 0.5 * sway else "sway v" in beside.outside
     far = replace(at, ranges={"v": (-0.02, 0.01), "n_left": (0.9, 1.0)})
     left = float(at.u0[0])
-    assert far.outside == f"sway v = {sway:.3g} m/s (data: -0.02 to 0.01 m/s), n_left = {left:.3g} (data: 0.9 to 1)"
+    assert (
+        far.outside
+        == f"sway v = {sway:.3g} m/s (98 % of the data: -0.02 to 0.01 m/s), n_left = {left:.3g} (data: 0.9 to 1)"
+    )
     assert f"outside the fitted data: {far.outside}" in repr(far)
     assert found.drift == ""
 

@@ -6,6 +6,7 @@ import base64
 import copy
 import hashlib
 import io
+import itertools
 import json
 import re
 from dataclasses import replace
@@ -269,6 +270,11 @@ def test_plus_minus_in_an_answer_is_explained_once() -> None:
     assert printed(result).count("± is one standard error.") == 1
     assert standard_error_sentence("The model lacks steady wind (3 N).", None) == ""
     assert conclusion(loaded(result)) == "The model lacks steady wind (3.0 ± 0.4 N). ± is one standard error."
+
+
+def test_caption_of_a_table_is_below_it_and_begins_at_its_left(small: dict[str, Any], tmp_path: Path) -> None:
+    (rule,) = re.findall(r"(?m)^caption \{([^}]*)\}", written(small, tmp_path))
+    assert {"caption-side: bottom", "text-align: left"} <= {part.strip() for part in rule.split(";")}
 
 
 def test_rows_of_a_stacked_table_have_titled_cells() -> None:
@@ -626,3 +632,53 @@ def test_page_of_a_figure_has_no_empty_heading_and_no_empty_link() -> None:
     assert "Speed" in text
     assert not re.search(r"<h2>\s*</h2>", text)
     assert not re.search(r"<a [^>]*>\s*</a>", text)
+
+
+def test_steps_keep_their_shape_with_few_points() -> None:
+    t = 0.2 * np.arange(1400.0)
+    y = np.where(t % 50.0 < 17.0, 0.6, -0.2) * (t > 3.0)
+    y[700] = np.nan
+    at = drawing.corners(t, y, 60)
+    assert at.size <= 60
+    good = np.isfinite(y)
+    np.testing.assert_allclose(np.interp(t, t[at], y[at])[good & (np.abs(t - 140.0) > 0.3)][:650], y[good][:650])
+    assert {699, 700, 701} <= set(at)
+    assert np.abs(np.interp(t, t[drawing.thinned(y, 60)], y[drawing.thinned(y, 60)]) - y)[good].max() > 0.1
+
+
+def in_blocks(diagnosis: dict[str, Any], n: int) -> dict[str, Any]:
+    """Return the diagnosis, without its validation logs, on n blocks of its first log that were left out of the fit."""
+    result = copy.deepcopy(diagnosis)
+    name = next(log["name"] for log in result["logs"] if log["role"] == "estimation")
+    result["logs"] = [log for log in result["logs"] if log["role"] == "estimation"]
+    for key in ("traces", "track", "inputs", "residuals", "residual_forces", "cross"):
+        result[key] = [row for row in result[key] if row["record"] == name]
+    for key in ("traces", "track", "inputs"):
+        for i, row in itertools.product(range(n), list(result[key])):
+            block = {**row, "record": f"{name}[{i}:{i + 1}]", **({"role": "validation"} if "role" in row else {})}
+            for field, value in row.items():
+                if isinstance(value, list):
+                    block[field] = value[i * len(value) // n : (i + 1) * len(value) // n]
+            result[key].append(block)
+    return result
+
+
+def test_blocks_of_a_log_share_a_tab(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+    result = in_blocks(diagnosis, 5)
+    name = result["logs"][0]["name"]
+    text = written(result, tmp_path)
+    page = Page(text)
+    assert f"validation · {name}, 5 blocks" in page.words
+    assert f"{name}[" not in text
+    inputs = [f for f in page.figures().values() if "n_" in str(f["layout"].get("annotations", ""))]
+    assert len(inputs) == 1
+    drawn = [t for f in page.figures().values() for t in f["data"] if t.get("name") == "model" and "xaxis" in t]
+    gaps = [int(np.isnan(np.array(numbers(t["y"]), dtype=float)).sum()) for t in drawn]
+    assert gaps.count(4) >= len({t["channel"] for t in result["traces"]})
+
+
+def test_angle_of_each_block_is_beside_the_samples() -> None:
+    t = np.arange(10.0)
+    angle = np.array([0.0, 100.0, 200.0, 300.0, np.nan, 700.0, 710.0, np.nan, -350.0, -360.0])
+    shifted = drawing.beside(t, angle, t, np.zeros(10))
+    np.testing.assert_allclose(shifted, [0, 100, 200, 300, np.nan, -20, -10, np.nan, 10, 0])

@@ -72,7 +72,7 @@ def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
     np.testing.assert_allclose(numbers(speed["y"]), np.where(y < 0.61, y, np.nan), atol=1e-3)
     np.testing.assert_allclose(numbers(beyond["y"]), np.where(y > 0.59, y, np.nan), atol=1e-3)
     assert beyond["line"]["dash"] == "dot"
-    assert "dotted: beyond the speeds of the data" in shown.words
+    assert "dotted: beyond the speeds of 98 % of the data" in shown.words
     assert np.nanmax(numbers(band["y"])) == pytest.approx(1.0 + 0.196, abs=1e-3)
     place = next(a for _, a in shown.tags if str(a.get("aria-label")).startswith("Steady turn rate"))
     assert np.nanmax(numbers(shown.figures()[str(place["id"])]["data"][1]["y"])) == pytest.approx(
@@ -84,7 +84,7 @@ def test_turn_rates_beyond_the_data_are_marked() -> None:
     for rates, marked in (((-0.3, 0.1), True), ((-0.3, 0.6), False), (None, False)):
         found = msgspec.structs.replace(dynamics(), ranges={"r": rates} if rates else {})
         shown = str(section(Canvas(Budget()), found))
-        assert ("beyond 17 deg/s, the largest of the data, extrapolated" in shown) == marked, rates
+        assert ("extrapolated beyond ± 17 deg/s, within which 98 % of the data are" in shown) == marked, rates
 
 
 @pytest.mark.parametrize(("quantity", "word"), [("n", "shaft speed"), ("n_cmd", "command"), ("f", "thrust")])
@@ -164,7 +164,7 @@ def test_operating_points_outside_the_data_are_named() -> None:
     words = " ".join(
         Page(page.render(msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=outside))).words.split()
     )
-    assert "may be wrong: at 1 m/s sway v = 0.3 m/s (data: -0.6 to 0.1 m/s)." in words
+    assert "may be wrong: at 1 m/s sway v = 0.3 m/s (98 % of the data: -0.6 to 0.1 m/s)." in words
     assert "at 0.5 m/s sway" not in words
 
 

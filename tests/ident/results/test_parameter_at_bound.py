@@ -79,6 +79,21 @@ def test_a_dead_zone_at_zero_beside_a_dead_band_needs_nothing(fitted: st.FittedV
     )
 
 
+def test_a_pure_line_is_not_taken_for_waves_of_wind(fitted: st.FittedVehicle) -> None:
+    """A nearly periodic motion of yaw alone puts the width of the peak, and two of three forces, at their bounds."""
+    model = horizontal_model() + catalogue()["waves"]
+    reported = ReportedEstimates(replace(fitted.fitted.fit, model=model))
+    flag = _flag_text(AT_BOUND, model.parameter("zeta_wave"), 0.01, reported)
+    assert flag.startswith(
+        "at its bound 0.01, the lowest possible value: the motion at this frequency is nearly periodic"
+    )
+    assert "mounting" in flag
+    assert "Check the logs" not in flag
+    flag = _flag_text(AT_BOUND, model.parameter("A_X"), 0.0, reported)
+    assert "If only one of A_X, A_Y and A_N is larger than zero, the cause may be a machine" in flag
+    assert "the best estimate is beyond it" in _flag_text(AT_BOUND, model.parameter("zeta_wave"), 0.7, reported)
+
+
 def test_an_upper_bound_is_called_the_highest_value(fitted: st.FittedVehicle) -> None:
     flag = flag_at(fitted, "d_uu", (0.0, 9.0), 9.0)
     assert flag.startswith("at its bound 9 kg/m, the highest possible value: the best estimate is beyond it. ")

@@ -666,6 +666,8 @@ def test_short_simulations_say_how_much_they_cover() -> None:
         "The errors of the simulation leave out the 15 s of filtering before it: they cover 12 of 27 s of a, 5 of 20 s "
         "of c, 0 of 9 s of d. What the boat does before is not in them."
     )
+    (text,) = warm_up_notes([("a[0:27.1]", 27.0), ("b[0:30]", 30.0), ("a[27.1:54]", 26.0), ("a[54:80]", 26.0)])
+    assert "they cover 11 of 26 s of each of 3 blocks of a, 15 of 30 s of b[0:30]." in text
     (text,) = warm_up_notes([("a", 27.0)], ModelKind.BENCH)
     assert text.endswith("12 of 27 s of a. What the thruster does before is not in them.")
 

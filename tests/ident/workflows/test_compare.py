@@ -658,11 +658,15 @@ def test_too_few_blocks_give_no_interval_and_no_verdict(compared: ComparisonResu
     short = msgspec.structs.replace(compared, channels=(row,))
     assert short.counts("b") == {"better": 0, "worse": 0, "indistinguishable": 0, "no-interval": 1}
     (table,) = compared_tables(short)
-    assert [str(cell) for cell in table.columns[-1].cells] == ["b; no interval: 2 blocks"]
+    assert [str(cell) for cell in table.columns[-1].cells] == ["undecided; no interval: 2 blocks"]
     cells = _error_cells(row, row.errors[1])
     assert "no interval: 2 blocks" in [cell.words for cell in cells if isinstance(cell, Cell)]
     best = _best_cell(row)
-    assert (best.words, best.style) == ("(b); no interval: 2 blocks", "")
+    assert (best.words, best.style) == ("undecided; no interval: 2 blocks", "")
+    known = msgspec.structs.replace(ratio, ratio=2.0, low=1.5, high=2.5, verdict="worse")
+    third = msgspec.structs.replace(row.errors[0], model="c", against_best=known)
+    decided = msgspec.structs.replace(row, errors=(*row.errors, third))
+    assert _best_cell(decided).words == "(b); no interval: 2 blocks"
     frame = Comparison(short).to_pandas()
     assert list(frame["verdict"].dropna()) == ["no-interval"]
     assert list(frame["blocks"].dropna()) == [2]
@@ -771,6 +775,14 @@ def test_answer_without_a_significant_difference(compared: ComparisonResult) -> 
     assert comparison_answer(msgspec.structs.replace(compared, models=(first, again))) == (
         "No model is significantly better than (a) good 2 s ahead. The error of (b) over all channels is 2 % smaller "
         "than that of (a) (95 %: −10 to +10 %)."
+    )
+    poor = msgspec.structs.replace(same, ratio=4.384, low=2.9, high=6.6, verdict="worse")
+    third = msgspec.structs.replace(
+        second, label="c", name="poor", changes=(msgspec.structs.replace(change, against_reference=poor),)
+    )
+    assert comparison_answer(msgspec.structs.replace(compared, models=(first, again, third))) == (
+        "No model is significantly better than (a) good 2 s ahead. Significantly worse than (a): (c) poor (error 4.38 "
+        "times as large)."
     )
     short = msgspec.structs.replace(same, low=None, high=None, blocks=3, verdict="no-interval")
     again = msgspec.structs.replace(second, changes=(msgspec.structs.replace(change, against_reference=short),))

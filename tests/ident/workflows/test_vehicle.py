@@ -303,6 +303,21 @@ def test_sensor_rates_equal_the_rate_of_the_rows(tmp_path: Path) -> None:
     assert rates == {"attitude": pytest.approx(10.0, rel=0.05), "position": pytest.approx(5.0, rel=0.05)}
 
 
+def test_sensor_rates_do_not_depend_on_the_rows_of_a_search(tmp_path: Path) -> None:
+    """With 5 rows per second, means of 0.1 s have the noise of rows at 10 Hz, at which a later fit uses the sensor."""
+    log = load_run(boat_log(tmp_path / "a.mcap", boat_with(None, 1), 60.0, 1), "estimation").run
+    model = horizontal_model("shaft", ("attitude", "position")).with_free(["d_vv"])
+    usual = fit_nominal_model(model, [log], [])
+    coarse = fit_nominal_model(replace(model, max_step=0.2), [log], [], rate=5.0)
+    assert np.isfinite(coarse.estimation[0].record.y[:, 0]).sum() < 0.6 * usual.estimation[0].record.y[:, 0].size
+    rates = sensor_rates(coarse)
+    assert rates == pytest.approx(sensor_rates(usual), rel=0.05)
+    assert rates == {"attitude": pytest.approx(10.0, rel=0.05), "position": pytest.approx(5.0, rel=0.05)}
+    noises = [x.model.parameter("e_psi").value for x in (coarse, usual)]
+    assert noises[0] == pytest.approx(noises[1], rel=0.2)
+    assert sensor_rates(fit_nominal_model(replace(model, max_step=0.5), [log], [], rate=2.0))["attitude"] < 4.5
+
+
 def test_logs_with_the_same_file_name_get_different_names(tmp_path: Path) -> None:
     """Validation runs are paired by name. Two runs with the same name would be compared with each other."""
     (tmp_path / "mon").mkdir()
