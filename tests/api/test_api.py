@@ -1316,7 +1316,8 @@ def test_an_excluded_effect_is_not_found(
     )
     folder = without.save(tmp_path / "without")
     assert st.load(folder).result.excluded_effects == ("mismatch",)
-    assert "Left out of the search (--exclude)" in (folder / "report.html").read_text(encoding="utf-8")
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    assert 'Left out of the search (<span class="option">--exclude</span>)' in text
 
 
 def test_a_model_is_fitted_again_without_one_effect(
