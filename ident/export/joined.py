@@ -471,10 +471,16 @@ def with_thrust_input(boat: Content) -> Content:
     model = boat.model
     shafts = {i.name: thrust_of(SignalId.parse(i.name).source) for i in model.inputs if i.name in ("n_left", "n_right")}
     if not shafts or "thrust" not in dict(model.stages) or "c1" not in model.values:
-        inputs_now = ", ".join(i.name for i in model.inputs if not i.tap)
+        inputs_now = [i.name for i in model.inputs if not i.tap]
+        instead = "leave it out"
+        if any(name.startswith(COMMAND) for name in inputs_now):
+            instead += (
+                ", and give an optimiser make_step of the CasADi file and nonzero commands as its first guess "
+                "(documentation: Controllers from a fitted model, MPC for a model of commands)"
+            )
         raise SeatrialError(
             "--thrust-input needs a model with the shaft speeds n_left, n_right as inputs, such as horizontal:shaft; "
-            f"the inputs of {model.source or model.name} are {inputs_now}"
+            f"the inputs of {model.source or model.name} are {', '.join(inputs_now)}: {instead}"
         )
     model = _without_late_sensors(model, set(shafts))
     _check_past(model, set(shafts))

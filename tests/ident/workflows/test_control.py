@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import pytest
 import seatrial as st
 from seatrial.ident.cli.commands import ident
 from tests.ident.workflows.test_use_a_model import run
-from tests.test_docs import blocks, how_to
+from tests.test_docs import ROOT, blocks, how_to
 
 if TYPE_CHECKING:
     pass
@@ -44,7 +45,7 @@ def output(code: str, number: int = 0) -> str:
     return re.findall(r"^```text\n(.*?)^```$", after, re.MULTILINE | re.DOTALL)[number]
 
 
-@pytest.mark.parametrize("block", range(6), ids=["slope", "pid", "lqr", "shafts", "ramp", "mpc"])
+@pytest.mark.parametrize("block", [*range(6), 7], ids=["slope", "pid", "lqr", "shafts", "ramp", "mpc", "commands"])
 def test_controller_of_the_page(block: int, folder: Path) -> None:
     code = blocks(PAGE, "python")[block]
     assert run(code, folder) == output(code)
@@ -140,9 +141,28 @@ def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:
     assert run(code, folder) == "shaft speeds: x = 0.0 m, y = 0.0 m\n"
 
 
-def test_mpc_with_do_mpc(folder: Path) -> None:
+def test_mpc_of_commands_needs_a_guess_that_is_not_zero(folder: Path) -> None:
+    """The page states that the boat stays at rest with a first guess of zero."""
+    code = blocks(PAGE, "python")[7]
+    for old, new in (("problem.set_initial(n, 0.3)", "problem.set_initial(n, 0.0)"), ("range(75)", "range(3)")):
+        assert old in code
+        code = code.replace(old, new)
+    assert run(code, folder).startswith("after 15 s: x = 0.0 m, y = 0.0 m")
+
+
+@pytest.mark.parametrize("block", [6, 8], ids=["thrusts", "commands"])
+def test_mpc_with_do_mpc(block: int, folder: Path) -> None:
     pytest.importorskip("do_mpc", reason="do-mpc is not installed: it needs matplotlib, which no other test uses")
-    found = re.search(r"after 15 s: x = ([\d.]+) m, y = ([\d.]+) m", run(blocks(PAGE, "python")[6], folder))
+    found = re.search(r"after 15 s: x = ([\d.]+) m, y = ([\d.]+) m", run(blocks(PAGE, "python")[block], folder))
     assert found
     assert float(found[1]) == pytest.approx(4.0, abs=0.3)
     assert float(found[2]) == pytest.approx(2.0, abs=0.3)
+
+
+def test_the_page_names_the_do_mpc_that_works_with_the_required_casadi() -> None:
+    """CasADi 3.8 has no `casadi.tools.SX` any more, which do-mpc 5.1.1 needs; do-mpc 5.1.2 works with both."""
+    required = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    assert "casadi>=3.8" in required["project"]["optional-dependencies"]["ident"]
+    text = PAGE.read_text(encoding="utf-8")
+    assert "seatrial needs CasADi 3.8" in text
+    assert 'pip install "do-mpc>=5.1.2"' in text

@@ -176,7 +176,7 @@ def boat_of_page(folder: Path, monkeypatch: pytest.MonkeyPatch, model: str, plan
     """Write the feedback of the model as the page tells, and return ROS with the exported boat ``plant``."""
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(folder)
-    code = blocks(PAGE, "python")[7]
+    code = blocks(PAGE, "python")[9]
     assert OLD in code
     for name in ("plant", "commanded"):  # other tests have models of the same names
         monkeypatch.delitem(sys.modules, name, raising=False)
