@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.daq.config import FloatArray, Mission, Prediction, track_extent
+from seatrial.daq.config import FloatArray, Mission, Prediction, area_sentence, track_extent
 
 
 def describe_mission(mission: Mission) -> str:
@@ -37,8 +37,10 @@ def mission_content(mission: Mission) -> dict[str, Any]:
     dict
         ``name``, ``kind``, ``thrusters``, ``seconds`` (duration), ``n_max``, ``slew_per_s`` (infinite: no limit),
         ``made_by`` and ``seed``; ``segments`` with ``name``, ``begin``, ``end`` [s] and by thruster the smallest and
-        the largest command; ``predicted_errors`` and ``errors_before`` by parameter; and ``track``, the extent of the
-        predicted track [m], None without one.
+        the largest command; ``predicted_errors`` and ``errors_before`` by parameter; ``track``, the extent of the
+        predicted track [m], None without one; and ``area``, the area of operation with its ``size``, its ``corner``
+        from the start [m], the share ``inside`` of the simulated boats that stay in it, and ``nominal_inside``, None
+        without one.
     """
     t, n = mission.setpoints()
     expected = mission.prediction
@@ -65,7 +67,14 @@ def mission_content(mission: Mission) -> dict[str, Any]:
         "predicted_errors": dict(mission.predicted_errors),
         "errors_before": dict(expected.errors_before) if expected else {},
         "track": track._asdict() if track else None,
+        "area": _area_content(expected) if expected else None,
     }
+
+
+def _area_content(expected: Prediction) -> dict[str, Any] | None:
+    """Return the area of operation of a predicted track as data (`mission_content`); None without an area."""
+    area = expected.area
+    return None if area is None else {**area._asdict(), "nominal_inside": area.contains(expected.x, expected.y)}
 
 
 def largest_command_line(mission: Mission, external: bool = False) -> str:
@@ -162,9 +171,13 @@ def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> 
 
 
 def describe_track(predicted: Prediction) -> list[str]:
-    """Return lines of text with the area that the predicted track of a mission needs (`track_extent`).
+    """Return lines of text with the space that the predicted track of a mission takes, and with its area of operation.
 
-    An empty line comes first. A track without points gives an empty list.
+    An empty line comes first. A track without points gives an empty list. The space is that of the band
+    (`track_extent`). If the mission was designed for an area, a line says whether the track keeps it.
     """
     extent = track_extent(predicted.x, predicted.y, predicted.radius)
-    return [] if extent is None else ["", f"predicted track with its band (95 %): {extent}"]
+    lines = [] if extent is None else ["", f"predicted track with its band (95 %): {extent}; one boat needs less"]
+    if predicted.area is not None:
+        lines += ([] if lines else [""]) + [area_sentence(predicted.area, predicted.x, predicted.y)]
+    return lines

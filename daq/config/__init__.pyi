@@ -2,8 +2,10 @@ from .mission_file import RAMP_DT as RAMP_DT
 from .mission_file import STATIC as STATIC
 from .mission_file import FloatArray as FloatArray
 from .mission_file import Mission as Mission
+from .mission_file import OperationArea as OperationArea
 from .mission_file import Prediction as Prediction
 from .mission_file import Segment as Segment
+from .mission_file import area_sentence as area_sentence
 from .mission_file import dump_mission as dump_mission
 from .mission_file import load_mission as load_mission
 from .mission_file import parse_mission as parse_mission

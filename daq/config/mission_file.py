@@ -61,6 +61,61 @@ class Segment:
         return hash((self.name, self.t.tobytes(), self.n.tobytes()))
 
 
+AREA_TOLERANCE = 0.01  # m: a mission file has the predicted track in cm
+ENOUGH_INSIDE = 0.95  # share of the sampled boats inside the area, below which a mission has advice
+
+
+class OperationArea(NamedTuple):
+    """Area of operation that a mission was designed for, with its place relative to the start of the boat.
+
+    Attributes
+    ----------
+    size : tuple of float
+        Extent in the direction north and in the direction east [m].
+    corner : tuple of float
+        South-west corner, north and east of the start [m].
+    inside : float
+        Share of the simulated boats that stay in the area during the whole mission, 0..1.
+    """
+
+    size: tuple[float, float]
+    corner: tuple[float, float]
+    inside: float
+
+    def contains(self, x: FloatArray, y: FloatArray) -> bool:
+        """Return whether a track with the positions ``x`` and ``y`` (K,) north and east of the start [m] is inside.
+
+        Positions up to `AREA_TOLERANCE` outside count as inside.
+        """
+        low = np.array(self.corner)[:, None] - AREA_TOLERANCE
+        high = np.array(self.corner)[:, None] + np.array(self.size)[:, None] + AREA_TOLERANCE
+        track = np.array([x, y])
+        return bool(((track >= low) & (track <= high)).all())
+
+
+def area_sentence(area: OperationArea, x: FloatArray, y: FloatArray) -> str:
+    """Return the sentences that say whether a predicted track keeps the area, and what to do if boats leave it.
+
+    Parameters
+    ----------
+    area : OperationArea
+        The area, with its place and the share of the simulated boats that stay in it.
+    x, y : array (K,)
+        Positions of the nominal boat, north and east of the start [m].
+    """
+    kept = area.contains(x, y)
+    nominal = "stays" if kept else "does not stay"
+    (north, east), (south, west) = area.size, (-v for v in area.corner)
+    text = (
+        f"The nominal boat {nominal} in the area of {north:g} m north by {east:g} m east, and "
+        f"{100 * area.inside:.0f} % of the boats with sampled parameters do, if the start is {south:.0f} m north and "
+        f"{west:.0f} m east of its south-west corner."
+    )
+    if kept and area.inside >= ENOUGH_INSIDE:
+        return text
+    return f"{text} To keep more of them inside, give a shorter --duration, a smaller --n-max or a larger --area."
+
+
 @dataclass(frozen=True, eq=False)
 class Prediction:
     """Predicted track of a designed mission, from simulations of boats with uncertain parameters.
@@ -78,6 +133,8 @@ class Prediction:
     errors_before : Mapping
         Standard error of each model parameter before the mission, by name and in the unit of the parameter. Parameters
         with an unknown error are missing.
+    area : OperationArea or None
+        Area of operation of the design; None without one.
     """
 
     model: str
@@ -86,6 +143,7 @@ class Prediction:
     y: FloatArray
     radius: FloatArray
     errors_before: Mapping[str, float] = field(default_factory=dict)
+    area: OperationArea | None = None
 
     def __eq__(self, other: object) -> bool:
         """Return whether the other object is a prediction with the same model, numbers and standard errors."""
@@ -98,7 +156,7 @@ class Prediction:
     def _content(self) -> tuple[object, ...]:
         """Return all fields of a predicted track as lists and dictionaries, which `==` can compare."""
         arrays = (self.t.tolist(), self.x.tolist(), self.y.tolist(), self.radius.tolist())
-        return (self.model, *arrays, dict(self.errors_before))
+        return (self.model, *arrays, dict(self.errors_before), self.area)
 
 
 class TrackExtent(NamedTuple):
@@ -362,8 +420,9 @@ def _read_segment(table: TomlTable, n_thrusters: int) -> Segment:
 def parse_prediction(table: TomlTable | None) -> Prediction | None:
     """Read the table [prediction] of a mission.toml. Return None if there is no table.
 
-    All lists must have the length of `t`, at least one. Missing standard errors (`errors_before`) give an empty
-    mapping. It is not checked that the times ascend.
+    The lists of the track must have the length of `t`, at least one. Missing standard errors (`errors_before`) give an
+    empty mapping. It is not checked that the times ascend. The
+    area (`area`) is optional.
 
     Raises
     ------
@@ -378,7 +437,12 @@ def parse_prediction(table: TomlTable | None) -> Prediction | None:
     x, y, radius = (np.array(table.numbers(key, length=len(t)), dtype=np.float64) for key in ("x", "y", "radius"))
     errors_table = table.table("errors_before")
     errors = {} if errors_table is None else errors_table.named_numbers()
-    prediction = Prediction(table.line("model"), t, x, y, radius, errors)
+    area, area_table = None, table.table("area")
+    if area_table is not None:
+        (north, east), (first, second) = (area_table.numbers(key, length=2) for key in ("size", "corner"))
+        area = OperationArea((north, east), (first, second), area_table.number("inside", low=0.0, high=1.0))
+        area_table.done()
+    prediction = Prediction(table.line("model"), t, x, y, radius, errors, area)
     table.done()
     return prediction
 
@@ -480,7 +544,11 @@ def dump_prediction(prediction: Prediction) -> list[str]:
     errors = ", ".join(f"{tomlkit.item(k).as_string()} = {float(v)!r}" for k, v in prediction.errors_before.items())
     lines = ["", "[prediction]", f"model = {tomlkit.item(prediction.model).as_string()}"]
     lines += [f"{key} = [{', '.join(repr(v) for v in values.tolist())}]" for key, values in rows.items()]
-    return [*lines, f"errors_before = {{{errors}}}"]
+    lines.append(f"errors_before = {{{errors}}}")
+    if (area := prediction.area) is not None:
+        size, corner = ([float(v) for v in pair] for pair in (area.size, area.corner))
+        lines.append(f"area = {{size = {size!r}, corner = {corner!r}, inside = {float(area.inside)!r}}}")
+    return lines
 
 
 def _toml_string(text: str) -> str:

@@ -10,7 +10,16 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_mission
+from seatrial.daq.config import (
+    Mission,
+    OperationArea,
+    Prediction,
+    Segment,
+    area_sentence,
+    dump_mission,
+    parse_mission,
+    save_mission,
+)
 from seatrial.daq.errors import SeatrialError, closest_name
 from seatrial.daq.files import require_new, require_parent
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT
@@ -240,7 +249,7 @@ def make_design(
     here = provenance([], command)
     result = DesignResult(
         created=here.created, seatrial=here.seatrial, command=here.command,
-        answer=_design_answer(made, parameters, apart, found[best]),
+        answer=_design_answer(made, parameters, apart, found[best]) + _area_end(track, task.limits),
         model=source, criterion=task.criterion if apart is None else "T", chosen=tuple(_criterion_parameters(task)),
         form="prediction error" if task.process_noise else "output error",
         value=made.value if apart is None else min(apart.if_first, apart.if_second),
@@ -452,7 +461,7 @@ def designed_mission(
         t, x, y, radius = (
             round_to_digits(v, 6) for v in (track.t, track.x.round(2), track.y.round(2), track.radius.round(2))
         )
-        prediction = Prediction(source, t, x, y, radius, before)
+        prediction = Prediction(source, t, x, y, radius, before, operation_area(track, made.problem.limits))
     return Mission(
         name,
         "mission",
@@ -466,6 +475,22 @@ def designed_mission(
         predicted_errors=predicted,
         prediction=prediction,
     )
+
+
+def operation_area(track: PredictedTrack, limits: DesignLimits) -> OperationArea | None:
+    """Return the area of operation of a design for its mission file, with the corner in cm; None without an area.
+
+    Parameters
+    ----------
+    track : PredictedTrack
+        Predicted track of the design.
+    limits : DesignLimits
+        Limits of the design.
+    """
+    if limits.area is None or track.corner is None or track.inside is None:
+        return None
+    south, west = (round(float(v), 2) for v in track.corner)
+    return OperationArea((float(limits.area[0]), float(limits.area[1])), (south, west), round(track.inside, 4))
 
 
 def round_to_digits(values: Array, digits: int) -> Array:
@@ -853,6 +878,17 @@ def _design_answer(
     if made.value >= baseline.value:
         return errors
     return f"{warn_worse_than_baseline(baseline, made.problem, made.problem.criterion, made.value)} {errors}"
+
+
+def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
+    """Return the end of the answer on the area of operation, after its last full stop; "" without an area or a track.
+
+    It says whether the nominal boat and the sampled boats stay in the area, and what to do if they do not.
+    """
+    area = None if track is None else operation_area(track, limits)
+    if track is None or area is None:
+        return ""
+    return f". {area_sentence(area, track.x, track.y)}".removesuffix(".")
 
 
 def longer_mission_advice(apart: Discrimination, duration: float) -> str:

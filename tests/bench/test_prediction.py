@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from seatrial.bench.mission_generators import make_mission
-from seatrial.bench.mission_text import describe_errors, describe_mission, describe_track
-from seatrial.daq.config.mission_file import Prediction, dump_mission, parse_mission
+from seatrial.bench.mission_text import describe_errors, describe_mission, describe_track, mission_content
+from seatrial.daq.config.mission_file import OperationArea, Prediction, area_sentence, dump_mission, parse_mission
 from seatrial.daq.errors import SeatrialError
 
 T = np.linspace(5.0, 65.0, 7)
@@ -42,6 +42,34 @@ def test_show_prints_the_space_of_the_track_and_the_errors_before_and_after() ->
     assert "29 m north by 22 m east, at most 28 m from the start" in text
 
 
+@pytest.mark.parametrize(
+    ("size", "corner", "inside", "words"),
+    [
+        ((30.0, 20.0), (-5.0, -2.5), 0.81, "stays in the area of 30 m north by 20 m east, and 81 % of the boats with"),
+        ((30.0, 20.0), (-5.0, 0.5), 0.81, "does not stay in the area of 30 m north by 20 m east"),
+        ((30.0, 20.0), (-5.0, -2.5), 0.97, "if the start is 5 m north and 2 m east of its south-west corner."),
+    ],
+)
+def test_show_says_whether_the_track_keeps_the_area(
+    size: tuple[float, float], corner: tuple[float, float], inside: float, words: str
+) -> None:
+    """The band of a track takes more room than the area, and nothing said whether a boat stays in the area."""
+    area = OperationArea(size, corner, inside)
+    mission = replace(make_mission("steps", 60.0, 1), prediction=replace(SQUARE, area=area))
+    again = parse_mission(dump_mission(mission), "mission.toml")
+    assert again.prediction is not None
+    assert again.prediction.area == area
+    assert again != replace(mission, prediction=SQUARE)
+    last = describe_mission(again).splitlines()[-1]
+    assert last == area_sentence(area, NORTH, EAST)
+    assert words in last
+    kept = corner[1] < 0.0
+    assert last.endswith("a smaller --n-max or a larger --area.") == (not kept or inside < 0.95)
+    assert mission_content(again)["area"] == {
+        "size": size, "corner": corner, "inside": inside, "nominal_inside": kept,
+    }  # fmt: skip
+
+
 def test_a_mission_without_prediction_prints_no_prediction() -> None:
     text = describe_mission(make_mission("steps", 60.0, 1))
     assert "predicted" not in text
@@ -61,7 +89,7 @@ def test_a_prediction_without_times_is_refused() -> None:
 def test_a_boat_at_rest_needs_no_space() -> None:
     zero = np.zeros(3)
     (_, line) = describe_track(Prediction("m", np.arange(3.0), zero, zero, zero))
-    assert line.endswith("0 m north by 0 m east, at most 0 m from the start")
+    assert line.endswith("0 m north by 0 m east, at most 0 m from the start; one boat needs less")
 
 
 @pytest.mark.parametrize(
@@ -69,6 +97,7 @@ def test_a_boat_at_rest_needs_no_space() -> None:
     [
         ("radius = [0.0, ", "radius = [", r"prediction.radius: must have 7 numbers, not 6"),
         ("[prediction]", "[prediction]\ncolor = 1", r"prediction.color: unknown key"),
+        ("[prediction]", "[prediction]\narea = {size = [1.0]}", r"prediction.area.size: must have 2 numbers"),
         ('errors_before = {"m_u" = 1.2}', 'errors_before = {m_u = "x"}', r"errors_before.m_u: must be a number"),
     ],
 )

@@ -291,6 +291,31 @@ def test_the_help_of_the_area_says_that_a_boat_may_leave_it(capsys: pytest.Captu
     assert "The tracks of 24 boats of the prior keep to it; your boat may leave it" in text
 
 
+def test_answer_and_mission_say_whether_the_boat_stays_in_the_area(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only the page named the share of the boats that stay inside, and the mission file had no area."""
+    out = tmp_path / "mission.toml"
+    words = ("design", "horizontal:shaft:no-current", *QUICK, "--area", "90x80", "--out", str(out))
+    status, printed, _ = run(capsys, *words)
+    assert status == 0
+    result = json.loads(out.with_suffix(".json").read_text())
+    inside = result["track"]["inside"]
+    words_of_area = (
+        "The nominal boat stays in the area of 90 m north by 80 m east, and "
+        f"{100 * inside:.0f} % of the boats with sampled parameters do"
+    )
+    assert words_of_area in result["answer"]
+    assert words_of_area in " ".join(printed.split())
+    assert words_of_area in run(capsys, "show", str(out))[1]
+    assert ("To keep more of them inside" in result["answer"]) == (inside < 0.95)
+    expected = load_mission(out).prediction
+    assert expected is not None
+    assert expected.area is not None
+    assert expected.area.inside == pytest.approx(inside, abs=1e-4)
+    assert expected.area.corner == pytest.approx(result["track"]["corner"], abs=0.01)
+
+
 def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("mission.toml", "mission.html"):
         (tmp_path / name).write_text("mine")
