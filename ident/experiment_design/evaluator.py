@@ -17,6 +17,7 @@ from seatrial.ident.numerics import Array, violates_constraint
 
 MAX_INPUT_BYTES = 200e6  # of inputs in memory at once
 N_TRACKS = 24  # parameter samples whose tracks must keep to the limits
+AT_BOUND = 1e-6  # of a standard deviation of its prior: a parameter that is nearer to a bound is at it
 DIVERGED = 1e6  # violation of the limits by a simulation that diverges
 
 
@@ -64,16 +65,14 @@ class DesignEvaluator:
         Raises
         ------
         SeatrialError
-            If the sensors do not observe one of the chosen parameters.
+            If the sensors do not observe one of the chosen parameters. The message names the reason if the value of the
+            parameter is at a bound.
         """
         problem = self.problem
         chosen = problem.chosen or problem.observed_parameters
-        unobserved = [n for n in chosen if n not in problem.observed_parameters]
-        if unobserved:
-            raise SeatrialError(
-                f"{unobserved[0]!r} cannot be estimated with model {problem.model.name} from these sensors; "
-                f"choose from {', '.join(problem.observed_parameters)}"
-            )
+        for name in chosen:
+            if name not in problem.observed_parameters:
+                raise _unobserved_error(problem, name)
         return Criterion(
             problem.criterion,
             tuple(problem.free.index(n) for n in chosen),
@@ -321,3 +320,24 @@ class DesignEvaluator:
             total += np.maximum(np.sqrt(high[:, names.index("speed2")]) / limits.speed - 1.0, 0.0)
         total[~np.isfinite(total)] = DIVERGED
         return total
+
+
+def _unobserved_error(problem: DesignProblem, name: str) -> SeatrialError:
+    """Return the error for a chosen parameter on which no output depends, or which the model does not have.
+
+    At a bound, such as a dead zone of zero, the outputs do not depend on a parameter, although they do beside it.
+    """
+    model, choices = problem.model, ", ".join(problem.observed_parameters)
+    parameter = next((p for p in model.parameters if p.name == name and p.free), None)
+    if parameter is not None:
+        size = parameter.prior[1] if parameter.prior is not None else 1.0
+        for which, bound in zip(("lowest", "highest"), parameter.bounds, strict=True):
+            if abs(parameter.value - bound) <= AT_BOUND * size:
+                return SeatrialError(
+                    f"{name!r} has its {which} possible value, {bound:g}, in model {model.name}: the outputs do not "
+                    "depend on it there, so no mission can be designed for it; write the value that you expect in a "
+                    f"copy of the model.toml (value of {name}), take a fit that found one, or choose from {choices}"
+                )
+    return SeatrialError(
+        f"{name!r} cannot be estimated with model {model.name} from these sensors; choose from {choices}"
+    )

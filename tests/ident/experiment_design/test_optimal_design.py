@@ -121,6 +121,17 @@ def test_design_respects_all_limits() -> None:
     assert free.value > made.value
 
 
+def test_a_chosen_parameter_at_its_bound_names_the_reason() -> None:
+    """A fitted dead zone of zero was said not to be observable from the sensors."""
+    boat = horizontal_model("command").with_values({"dead_zone": 2.3e-17})
+    task = DesignProblem(boat, StepInput(8, 2, 40.0, 1.0, GRID), chosen=("dead_zone",))
+    with pytest.raises(SeatrialError, match=r"'dead_zone' has its lowest possible value, 0, .* in a copy of the model"):
+        _ = DesignEvaluator(task).criterion
+    wider = replace(task, model=boat.with_values({"dead_zone": 0.1}))
+    assert "dead_zone" in wider.observed_parameters
+    _ = DesignEvaluator(wider).criterion
+
+
 def test_impossible_limits_give_a_one_line_error() -> None:
     with pytest.raises(SeatrialError, match=r"--area 1x1 .*give more room"):
         design(boat_task(30.0, 6, limits=DesignLimits(area=(1.0, 1.0))), evaluations=600)
