@@ -9,6 +9,7 @@ from .antenna import antenna_error as antenna_error
 from .certainty import NAME_RECORDS as NAME_RECORDS
 from .common_errors import COMMON_ERRORS as COMMON_ERRORS
 from .common_errors import COMMON_SEARCH as COMMON_SEARCH
+from .findings import CLEAR_CRITERION as CLEAR_CRITERION
 from .findings import CommonErrorsFit as CommonErrorsFit
 from .findings import Diagnosis as Diagnosis
 from .findings import EffectAttribution as EffectAttribution

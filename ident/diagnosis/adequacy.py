@@ -736,8 +736,8 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
       one of both is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be
       designed for the model. If no mission distinguishes them (`separating_experiment`), what does.
     - An ambiguous effect or a nonparametric curve without such competing models: its experiment.
-    - No effect was selected, although candidates were fitted: the experiment of the best refit of each round, if it
-      has one.
+    - No effect was selected, although candidates were fitted: for each round, the experiment of the effect that
+      comes nearest (`Round.nearest`), otherwise that of the best refit, if it has one.
     """
     titles, kinds = _titles_and_kinds(diagnosis)
     chosen = {r.chosen.effect.name: r.chosen.effect for r in diagnosis.rounds if r.chosen is not None}
@@ -769,13 +769,17 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
             )
     named = {attribution.effect for attribution in diagnosis.attributions}
     for search_round in diagnosis.rounds if not diagnosis.effects else ():
-        added = search_round.chosen is not None and search_round.chosen.effect.name in named
-        if not added and search_round.refits and (e := search_round.refits[0].effect).experiment:
-            lines.append(
-                f"To test whether {e.title} is present, which came closest in a round of the search and was not "
-                f"added: {e.experiment}."
-            )
-    return " ".join(dict.fromkeys(lines)) or None  # an effect can come closest in several rounds
+        if search_round.chosen is not None and search_round.chosen.effect.name in named:
+            continue
+        # the ranking of the answer; without an effect that comes near, that of the estimation data
+        effects = [r.effect for r in search_round.nearest[:1]] or [r.effect for r in search_round.refits[:1]]
+        which = "which comes nearest" if search_round.nearest else "which explains most of the estimation data"
+        lines += [
+            f"To test whether {e.title} is present, {which} and was not added: {e.experiment}."
+            for e in effects
+            if e.experiment
+        ]
+    return " ".join(dict.fromkeys(lines)) or None  # an effect can come nearest in several rounds
 
 
 def competitor_of(diagnosis: Diagnosis, attribution: EffectAttribution) -> str | None:
@@ -842,7 +846,7 @@ def reason_without_experiment(diagnosis: Diagnosis) -> str:
             return f"the effects that were added have no competing effect. {_advice_on_remaining(diagnosis)}"
         return "no competing effect is left for the effects that were added"
     if any(r.refits for r in diagnosis.rounds):
-        return "the catalogue has no experiment for the effects that came closest"
+        return "the catalogue has no experiment for the effects that come nearest"
     if diagnosis.untested:
         return "the candidates that passed the score tests could not be fitted"
     if diagnosis.short_data is not None:

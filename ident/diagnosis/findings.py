@@ -19,6 +19,7 @@ from seatrial.ident.model import Effect
 from seatrial.ident.numerics import Array
 from seatrial.ident.validation import PredictionChange
 
+CLEAR_CRITERION = 10.0  # of a refit, from which its data clearly support it (Kass and Raftery 1995)
 CLEAR_T = 2.0  # t statistic of a gain on the validation data, from which it is reported
 Attribution = Literal["identified", "ambiguous", "nonparametric"]
 
@@ -111,6 +112,18 @@ class Refit:
     def nonparametric(self) -> bool:
         """Whether the effect is nonparametric: a curve, or a lagged or resonant response, without a formula."""
         return self.effect.kind.nonparametric
+
+    @property
+    def is_near(self) -> bool:
+        """Whether the data support the effect, and the validation data alone are too few to decide.
+
+        Its criterion is positive, the log-likelihood of the validation data rises with it, and the criterion of all
+        data, with twice this rise, is above 10 (`CLEAR_CRITERION`). The criterion of the estimation data alone would
+        leave out an effect with many parameters that predicts the validation data better than others.
+        """
+        supported = self.criterion > 0 and self.validation_gain > 0
+        clear = self.criterion + 2.0 * self.validation_gain > CLEAR_CRITERION
+        return self.outcome is Outcome.NOT_VALIDATED and supported and clear
 
 
 @dataclass(frozen=True)
@@ -226,6 +239,15 @@ class Round:
             Outcome.NOT_SUPPORTED,
         )
         return next((o for o in order if o in found), Outcome.UNTESTED)
+
+    @property
+    def nearest(self) -> tuple[Refit, ...]:
+        """Refits with a formula that come nearest to being added (`Refit.is_near`), the largest ``t`` first.
+
+        The answer and the recommended experiment use this one order. The score tests and the criterion have others:
+        they use the estimation data only.
+        """
+        return tuple(sorted((r for r in self.refits if r.is_near and not r.nonparametric), key=lambda r: -r.t))
 
     @property
     def explanation(self) -> str:

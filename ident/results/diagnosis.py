@@ -14,6 +14,7 @@ import numpy as np
 
 from seatrial.daq.errors import counted
 from seatrial.ident.diagnosis import (
+    CLEAR_CRITERION,
     NAME_RECORDS,
     Diagnosis,
     DiagnosisEvaluation,
@@ -102,7 +103,6 @@ MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are
 USABLE_ERROR = 0.05  # of the range of force or shaft speed, up to which the thrust curve of a bench can be used
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
-CLEAR_CRITERION = 10.0  # of a refit, from which its data clearly support it (Kass and Raftery 1995)
 MOST_NEAREST = 2  # effects that are named if none was added
 MOST_SIZES = 2  # sizes of an effect in a sentence
 MOST_REMAINING = 4  # candidates that still pass the score test and are given by name
@@ -486,8 +486,8 @@ def _missing_effects_sentence(
     nearest = _nearest_effects(last, strongest.name, bench)
     failed = "improves the prediction" if last.outcome is Outcome.NO_BETTER_PREDICTION else "explains the residuals"
     return (
-        f"The score tests contradict the model, most clearly that of {_score_titles(last)[strongest.name]} "
-        f"({_p_in_words(strongest.p)}), but no candidate {failed}: {why}. {nearest}A score test can "
+        f"The score tests contradict the model (the strongest one: {_score_titles(last)[strongest.name]}, "
+        f"{_p_in_words(strongest.p)}), but no candidate {failed}: {why}. {nearest}A score test can "
         "find what the tests of whiteness and of the correlations with the inputs miss. "
         f"{_all_logs_sentence(diagnosis, again, bench)} Look at the residuals in the report."
         f"{_two_velocities_sentence(strongest.name)}"
@@ -553,14 +553,13 @@ def _p_in_words(p: float) -> str:
 def _nearest_effects(search_round: Round, strongest: str, bench: bool) -> str:
     """Return the sentences on the effects of the catalogue that come nearest in a round without an added effect.
 
-    The data support them, but the validation data alone neither support nor contradict them (`_is_near`). The
-    `MOST_NEAREST` effects with the largest t statistics of their validation are given, with their sizes in the rough
-    fits. If the candidate ``strongest`` of the score tests is not among them, a sentence says why. For a model of the
-    ``bench``, further logs are advised, because no fit takes its effects. The text ends with a space; it is empty if no
-    effect comes near.
+    The data support them, but the validation data alone neither support nor contradict them (`Round.nearest`, which
+    the recommended experiment takes too). The first `MOST_NEAREST` are given, with their sizes in the rough fits. If
+    the candidate ``strongest`` of the score tests is not among them, a sentence says why. For a model of the ``bench``,
+    further logs are advised, because no fit takes its effects. The text ends with a space; it is empty if no effect
+    comes near.
     """
-    undecided = [r for r in search_round.refits if _is_near(r) and not r.nonparametric]
-    near = sorted(undecided, key=lambda r: -r.t)[:MOST_NEAREST]
+    near = search_round.nearest[:MOST_NEAREST]
     if not near:
         return ""
     sizes = [", ".join(filter(None, (sizes_in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
@@ -589,17 +588,6 @@ def _explains_only(search_round: Round, name: str) -> bool:
     no_better = Outcome.NO_BETTER_PREDICTION
     first = next((r for r in search_round.refits if r.outcome is no_better), None)
     return search_round.outcome is no_better and first is not None and first is _refit_of(search_round.refits, name)
-
-
-def _is_near(r: Refit) -> bool:
-    """Return whether the data support an effect, and the validation data alone are too few to decide.
-
-    Its criterion is positive, the log-likelihood of the validation data rises with it, and the criterion of all data,
-    with twice this rise, is above `CLEAR_CRITERION`. The criterion of the estimation data alone would leave out an
-    effect with many parameters that predicts the validation data better than others.
-    """
-    supported = r.criterion > 0 and r.validation_gain > 0
-    return r.outcome is Outcome.NOT_VALIDATED and supported and r.criterion + 2.0 * r.validation_gain > CLEAR_CRITERION
 
 
 def _removal(removed: RemovedEffect, diagnosis: Diagnosis) -> str:
@@ -680,7 +668,7 @@ def _why_not_near(search_round: Round, name: str) -> str:
     r = _refit_of(search_round.refits, name)
     if r is None:
         why = "it was not fitted in this round"
-    elif _is_near(r):
+    elif r.is_near:
         why = f"its t is smaller, {r.t:.1f}" if not r.nonparametric else "it is a curve without a formula"
     else:
         why = _refit_clause(r)
@@ -704,7 +692,8 @@ def _refit_clause(r: Refit) -> str:
         case Outcome.NOT_VALIDATED if r.criterion > CLEAR_CRITERION:
             return f"the validation data do not support it sufficiently: {data}"
         case Outcome.NOT_VALIDATED:
-            return f"the estimation data hardly support its {counted(r.df, 'parameter')}, and {data}"
+            gained = f"its fit gains {r.gain:.0f} in 2 ln L on the estimation data"
+            return f"{gained}, little for {counted(r.df, 'parameter')}, and {data}"
         case Outcome.WORSE_PREDICTION:
             return f"{data}, but the prediction is worse with it"
         case Outcome.NO_BETTER_PREDICTION:

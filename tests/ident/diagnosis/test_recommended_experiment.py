@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 from seatrial.ident.diagnosis.adequacy import competitor_of, reason_without_experiment, recommended_experiment
-from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution
+from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, Outcome, Refit, Round
 from seatrial.ident.effects import catalogue, nonparametric_effect, separating_experiment
 from seatrial.ident.model import Effect, EffectKind, ForceCurve
 from seatrial.ident.models import horizontal_model, with_disturbances
@@ -180,11 +180,36 @@ def test_a_curve_has_an_experiment_that_covers_its_variable(curve: tuple[str, ..
 
 
 def test_an_experiment_of_two_rounds_is_recommended_once() -> None:
-    """An effect comes closest in two rounds, of which one adds another effect that is removed later."""
+    """An effect explains most in two rounds, of which one adds another effect that is removed later."""
     lag, wind = (SimpleNamespace(effect=catalogue()[name]) for name in ("filter-lag", "wind"))
-    rounds = [SimpleNamespace(chosen=None, refits=[refit]) for refit in (lag, lag, wind)]
+    rounds = [SimpleNamespace(chosen=None, refits=[refit], nearest=()) for refit in (lag, lag, wind)]
     text = recommended_experiment(of(rounds=rounds))
     assert text is not None
     for effect in (lag.effect, wind.effect):
-        begin = f"To test whether {effect.title} is present, which came closest in a round of the search and was not"
+        begin = f"To test whether {effect.title} is present, which explains most of the estimation data and was not"
         assert text.count(f"{begin} added: {effect.experiment}.") == 1
+
+
+def test_the_experiment_is_for_the_effect_that_comes_nearest() -> None:
+    """The answer named a sloshing mass and a line, and the experiment was for a steady force, "which came closest".
+
+    The refits are those of a 128 kg catamaran, in the order of the criterion of the estimation data.
+    """
+    gaining = (
+        ("steady-pull", 2, 29.2, 8.7, 0.85),
+        ("battery-sag", 1, 18.4, -1.2, -0.23),
+        ("sway-slosh", 3, 18.1, 9.7, 1.49),
+        ("mooring", 4, 11.4, 8.7, 0.87),
+        ("wind", 6, 0.07, 11.0, 1.09),
+    )
+    fits: Any = SimpleNamespace()
+    refits = tuple(
+        Refit(catalogue()[name], fits, criterion + 9.43 * df, df, criterion, gain, t, outcome=Outcome.NOT_VALIDATED)
+        for name, df, criterion, gain, t in gaining
+    )
+    search_round = Round((), (), refits, None)
+    assert [r.effect.name for r in search_round.nearest] == ["sway-slosh", "wind", "mooring", "steady-pull"]
+    effect = catalogue()["sway-slosh"]
+    assert recommended_experiment(of(rounds=[search_round])) == (
+        f"To test whether {effect.title} is present, which comes nearest and was not added: {effect.experiment}."
+    )

@@ -351,12 +351,12 @@ def test_unexplained_residuals_name_the_score_test_that_contradicts_the_model() 
     )
     answer = diagnosis_answer(found, None, 10.0)
     assert answer.startswith(
-        "The score tests contradict the model, most clearly that of yaw moment that follows the sway speed, N(v) (p = "
+        "The score tests contradict the model (the strongest one: yaw moment that follows the sway speed, N(v), p = "
         "5e-27), but no candidate explains the residuals: "
     )
     assert "can find what the tests of whiteness and of the correlations with the inputs miss." in answer
     of_titles = replace(found, rounds=(Round(scores[:1], ("wind",), (rejected,), None),))
-    assert "most clearly that of steady wind (p = 9e-09)" in diagnosis_answer(of_titles, None, 10.0)
+    assert "(the strongest one: steady wind, p = 9e-09)" in diagnosis_answer(of_titles, None, 10.0)
 
 
 def test_waves_that_were_not_tried_are_named() -> None:
@@ -541,8 +541,8 @@ def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None
         (refit("wind", 11.0, gain=14.9, t=1.1), "the model. Wind is not among them: its t is smaller, 1.1. A"),
         (
             refit("wind", 7.0, gain=1.4, t=1.6),
-            "Wind is not among them: the estimation data hardly support its 1 parameter, and the log-likelihood "
-            "of the validation data rises by 1 (t = 1.6). A",
+            "Wind is not among them: its fit gains 15 in 2 ln L on the estimation data, little for 1 parameter, and "
+            "the log-likelihood of the validation data rises by 1 (t = 1.6). A",
         ),
         (
             refit("wind", 30.0, gain=-4.0, t=-1.0),
