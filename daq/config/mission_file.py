@@ -421,8 +421,7 @@ def parse_prediction(table: TomlTable | None) -> Prediction | None:
     """Read the table [prediction] of a mission.toml. Return None if there is no table.
 
     The lists of the track must have the length of `t`, at least one. Missing standard errors (`errors_before`) give an
-    empty mapping. It is not checked that the times ascend. The
-    area (`area`) is optional.
+    empty mapping. The area (`area`) is optional. It is not checked that the times ascend.
 
     Raises
     ------

@@ -107,7 +107,7 @@ def test_header_of_a_joined_model_is_short() -> None:
     assert isinstance(text, str)
     about, _, head = text.partition("\nfrom math")[0].partition('\n"""\n')
     assert len(about.splitlines()) < 9  # docstring: the model and an example
-    assert len(head.splitlines()) < 42  # one of them names the physical inputs
+    assert len(head.splitlines()) < 44  # one of them names the physical inputs
     words = "n_cmd_left [-], 49 delayed copies, 0 to 0.6 s late, made by the export"
     assert f"u[0] n_cmd_left_0 to u[48] n_cmd_left_48: {words}" in head
     for prefix in ("n_cmd_left_", "n_cmd_right_"):  # and so do the names at the top of the file
