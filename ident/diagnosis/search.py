@@ -97,7 +97,7 @@ from seatrial.ident.estimation import (
     cross_validated,
     cut_into_blocks,
     fit_and_evaluate,
-    fit_with_rescaling,
+    fit_with_restarts,
     missing_inputs,
     nominal_model,
     times_of_change,
@@ -575,7 +575,7 @@ def _first_fit(
     runs, and each block is predicted with the fit to the other blocks. ``settings`` are those of the fit; None for the
     default settings. ``reporter`` receives the iterations as details of its present step.
     """
-    fitted = fit_with_rescaling(full, records, runs, settings=settings, detail=reporter.detail)
+    fitted = fit_with_restarts(full, records, runs, settings=settings, reporter=reporter)
     if fitted.validation:
         return fitted, runs
     blocks = cut_into_blocks(records, fitted.estimation, full.block)

@@ -17,7 +17,7 @@ from .fitted_model import evaluate_records as evaluate_records
 from .fitted_model import evaluated_in_blocks as evaluated_in_blocks
 from .fitted_model import fit_and_evaluate as fit_and_evaluate
 from .fitted_model import fit_nominal_model as fit_nominal_model
-from .fitted_model import fit_with_rescaling as fit_with_rescaling
+from .fitted_model import fit_with_restarts as fit_with_restarts
 from .fitted_model import missing_inputs as missing_inputs
 from .fitted_model import nominal_model as nominal_model
 from .fitted_model import times_of_change as times_of_change

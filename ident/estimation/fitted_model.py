@@ -16,9 +16,16 @@ from msgspec import Meta
 
 from seatrial.daq.errors import counted
 from seatrial.ident.data import LogSegment, Record, make_record
+from seatrial.ident.effects import WAVES
 from seatrial.ident.estimation.cross_validation import TimeBlocks, leave_one_block_out, time_blocks
 from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
-from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, SearchSettings, fit
+from seatrial.ident.estimation.maximum_likelihood import (
+    ROUGH_SEARCH,
+    EstimationOptions,
+    Fit,
+    SearchSettings,
+    fit,
+)
 from seatrial.ident.estimation.multistart import MIN_GAIN, best_of_starts
 from seatrial.ident.estimation.smoother import SmoothedStates, smoothed_states
 from seatrial.ident.estimation.wave_peak import other_wave_start
@@ -189,14 +196,69 @@ def fit_nominal_model(
     reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
     validation_data = without_unknown_noise(full, records, validation_data)
     full = without_absent_sensors(full, records)
+    fitted = fit_with_restarts(full, records, validation_data, options, settings, start, reporter)
+    return replace(fitted, failed=(*failed, *fitted.failed))
+
+
+def fit_with_restarts(
+    full: Model,
+    records: Sequence[Record],
+    validation_data: ValidationData,
+    options: EstimationOptions | None = None,
+    settings: SearchSettings | None = None,
+    start: Mapping[str, float] | None = None,
+    reporter: Reporter = QUIET,
+) -> FittedModel:
+    """Fit a model (`fit_with_rescaling`), also from other initial values of its effects of the surroundings.
+
+    The likelihood has several maxima in the frequency of waves, and in the lever arms of a wind that has little force.
+    The fit begins again with `other_wave_start`, and with the initial values of the effects of the surroundings beside
+    the estimates of all other parameters. From the latter, a rough search shows first whether the maximum is higher.
+    The fit with the highest log-posterior is returned.
+
+    Parameters
+    ----------
+    full, records, validation_data, options, settings, start
+        Arguments of `fit_with_rescaling`, which raises the errors.
+    reporter
+        Receives a line of progress for each further fit, and the iterations as details.
+    """
+
+    def better(fitted: FittedModel, begin: Mapping[str, float]) -> FittedModel:
+        """Return the better one of a fit and of a fit from these initial values."""
+        with contextlib.suppress(*FIT_ERRORS):
+            again = {**(start or {}), **begin}
+            other = fit_with_rescaling(full, records, validation_data, options, settings, again, reporter.detail)
+            if other.fit.log_posterior > fitted.fit.log_posterior + MIN_GAIN:
+                return other
+        return fitted
+
     fitted = fit_with_rescaling(full, records, validation_data, options, settings, start, reporter.detail)
     if missed := other_wave_start(fitted.fit.model, [view.run for view in fitted.estimation]):
         reporter.progress(f"fitting {full.name} again: waves of {missed['f_wave']:.2g} Hz are left in its residuals")
-        again = {**(start or {}), **missed}
+        fitted = better(fitted, missed)
+    if initial := _initial_values_of_surroundings(fitted.fit.model):
         with contextlib.suppress(*FIT_ERRORS):
-            other = fit_with_rescaling(full, records, validation_data, options, settings, again, reporter.detail)
-            fitted = other if other.fit.log_posterior > fitted.fit.log_posterior + MIN_GAIN else fitted
-    return replace(fitted, failed=(*failed, *fitted.failed))
+            begin = {**fitted.fit.start_values(full), **initial}
+            rough = fit_and_evaluate(full, records, (), options, ROUGH_SEARCH, begin)
+            if rough.fit.log_posterior > fitted.fit.log_posterior + MIN_GAIN:
+                reporter.progress(f"fitting {full.name} again: other initial values of its effects are better")
+                fitted = better(fitted, rough.fit.start_values(full))
+    return fitted
+
+
+def _initial_values_of_surroundings(model: Model) -> dict[str, float]:
+    """Return the initial values, by parameter, of effects of the surroundings that have three parameters or more.
+
+    These have a shape beside their size. Without a size, the likelihood does not depend on the shape, such as a lever
+    arm of the wind. Waves (`other_wave_start`), disturbance forces and effects with per-record parameters are left out.
+    """
+    free, values = set(model.free) - model.noises, dict[str, float]()
+    for e in model.effects:
+        own = [p for p in e.parameters if p.name in free]
+        if e.place == "environment" and e.name != WAVES.name and not any(p.per_record for p in own) and len(own) > 2:
+            values |= {p.name: p.value for p in own}
+    return values
 
 
 def validation_records(
