@@ -16,6 +16,7 @@ from .findings import EffectAttribution as EffectAttribution
 from .findings import ModelUncertainty as ModelUncertainty
 from .findings import Outcome as Outcome
 from .findings import Refit as Refit
+from .findings import RejectedCommonErrors as RejectedCommonErrors
 from .findings import RemovedEffect as RemovedEffect
 from .findings import Round as Round
 from .findings import ValidationMismatch as ValidationMismatch

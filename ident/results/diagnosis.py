@@ -1430,7 +1430,7 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     """
     named = [f"{r.effect.name} ({r.effect.title})" for r in diagnosis.effects if r.effect.name in catalogue()]
     notes = [f"Names for --effect: {', '.join(named)}."] if named else []
-    notes += common_errors_notes(diagnosis.common_errors, "the effects")
+    notes += common_errors_notes(diagnosis.common_errors, "the effects", diagnosis.rejected_common_errors)
     notes += [f"The data exclude {r.effect.title}, which was not tested: {r.reason}." for r in diagnosis.refuted]
     if diagnosis.effects and diagnosis.untried_waves is not None:
         notes.append(_waves_sentence(diagnosis.untried_waves))
