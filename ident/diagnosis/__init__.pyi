@@ -5,6 +5,7 @@ from .adequacy import contradicting_signs as contradicting_signs
 from .adequacy import is_no_better_prediction as is_no_better_prediction
 from .adequacy import reason_without_experiment as reason_without_experiment
 from .adequacy import recommended_experiment as recommended_experiment
+from .adequacy import with_excluded as with_excluded
 from .antenna import antenna_error as antenna_error
 from .certainty import NAME_RECORDS as NAME_RECORDS
 from .common_errors import COMMON_ERRORS as COMMON_ERRORS

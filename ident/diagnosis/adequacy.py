@@ -142,6 +142,34 @@ def assess_alternatives(
     return tuple(found)
 
 
+def with_excluded(diagnosis: Diagnosis, excluded: Sequence[Effect]) -> Diagnosis:
+    """Return the diagnosis with the candidates that the user left out of the search (``excluded``).
+
+    A declared alternative that was left out may be the true effect in place of an added one, and no test says whether
+    it is. An effect that it competes with is ambiguous for this reason, and not identified. It does not matter which
+    of both effects declares the other one as its alternative. Candidates that the model does not accept are no reason.
+    """
+    model = diagnosis.before.model
+    possible = [e for e in excluded if model.accepts(e)]
+    chosen = {r.chosen.effect.name: r.chosen.effect for r in diagnosis.rounds if r.chosen is not None}
+    judged = []
+    for found in diagnosis.attributions:
+        effect = chosen[found.effect]
+        left_out = [e for e in possible if e.name in effect.alternatives or effect.name in e.alternatives]
+        if found.attribution != "nonparametric" and left_out:
+            which = f"{' and '.join(e.title for e in left_out)}, which {'act' if len(left_out) > 1 else 'acts'}"
+            reason = f"{which} in a similar way, {'were' if len(left_out) > 1 else 'was'} left out of the search"
+            names = [e.name for e in left_out if e.name not in found.not_excluded]
+            found = replace(
+                found,
+                attribution="ambiguous",
+                reasons=(*found.reasons, f"{reason} (--exclude)"),
+                not_excluded=(*found.not_excluded, *names),
+            )
+        judged.append(found)
+    return replace(diagnosis, excluded=tuple(excluded), attributions=tuple(judged))
+
+
 def depends_on_remaining_tests(
     rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy = DEFAULT_POLICY
 ) -> bool:

@@ -348,7 +348,8 @@ class EffectAttribution:
     not_excluded
         Names of the competing models that the data do not exclude, closest first. Declared alternatives
         (`Effect.alternatives`) follow that could not be tested, that the estimated parameters of the model explain, so
-        that their score tests have no power, or whose score tests still pass beside several added effects.
+        that their score tests have no power, whose score tests still pass beside several added effects, or that the
+        user left out of the search.
     competitor
         Name of the effect or curve that the first of the ``reasons`` is about; empty if it is about none.
     """

@@ -16,6 +16,7 @@ from seatrial.ident.diagnosis import (
     diagnose,
     evaluate_diagnosis,
     rows_of_search,
+    with_excluded,
     with_times,
     with_weighed_mass,
 )
@@ -260,7 +261,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     with progress.work.timed("evaluation"):
         evaluation = evaluate_diagnosis(found, horizon)
     progress.progress("computing the result")
-    found = with_weighed_mass(replace(found, excluded=tuple(excluded.values())), hull.get("mass"))
+    found = with_weighed_mass(with_excluded(found, tuple(excluded.values())), hull.get("mass"))
     result = diagnosis_result(
         found,
         evaluation,

@@ -179,7 +179,10 @@ def test_a_search_has_the_position_of_the_thrusters_of_the_log(
 @pytest.mark.parametrize(
     ("name", "advice"),
     [
-        ("x_delta=-0.45", "give x_thrusters and x_thrusters_sd in [geometry] of the import map, or in [vehicle] of the"),
+        (
+            "x_delta=-0.45",
+            "give x_thrusters and x_thrusters_sd in [geometry] of the import map, or in [vehicle] of the",
+        ),
         ("delta_L=0.02", "fit it with `seatrial ident vehicle --effect thrust-angle --fix delta_L=0.02`, and diagnose"),
     ],
 )
