@@ -1,7 +1,8 @@
 from .acceptance import is_immaterial as is_immaterial
 from .acceptance import removal_reason as removal_reason
-from .adequacy import competitor_of as competitor_of
+from .adequacy import competitors_of as competitors_of
 from .adequacy import contradicting_signs as contradicting_signs
+from .adequacy import is_mission_long as is_mission_long
 from .adequacy import is_no_better_prediction as is_no_better_prediction
 from .adequacy import reason_without_experiment as reason_without_experiment
 from .adequacy import recommended_experiment as recommended_experiment
