@@ -221,7 +221,7 @@ def make_design(
     if request.between:
         made, apart = _discrimination_design(task, compared, request, reporter)
     else:
-        left = TimeLeft(request.evaluations)
+        left = TimeLeft(request.evaluations, "in this phase")
         made = design(
             task,
             evaluations=request.evaluations,
@@ -614,7 +614,7 @@ def _discrimination_design(
     """
     a, b = (h.model for h in compared)
     total = max(request.evaluations // 8, 500)
-    left = TimeLeft(total)
+    left = TimeLeft(total, "in this phase")
     made: DiscriminationDesign = discriminate(
         a,
         b,
