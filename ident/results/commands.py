@@ -653,6 +653,9 @@ class HypothesisSize(Part, frozen=True, kw_only=True):
     parameters: Annotated[
         tuple[EffectParameter, ...], Meta(description="its parameters; `se` is null for a typical size")
     ]
+    beside: Annotated[
+        str, Meta(description="the other effect, if the fit of the size has both; empty: the fit has this effect alone")
+    ] = ""
 
 
 class Discrimination(Part, frozen=True, kw_only=True):

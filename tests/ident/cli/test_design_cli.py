@@ -42,6 +42,8 @@ from seatrial.ident.workflows.design import (
     DesignRequest,
     _design_answer,
     _design_warnings,
+    _discrimination_lines,
+    _size_row,
     design_summary,
     hypotheses,
     make_design,
@@ -606,7 +608,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
 
 
 def test_sizes_are_those_of_the_model_and_of_the_refits_of_its_diagnosis() -> None:
-    """A refit beside the other effect tells how much is left for this one, so that it does not count."""
+    """A refit beside the other effect tells how much is left for this one, so that it counts only without another."""
     model = (horizontal_model() + catalogue()["lag"]).with_values({"T_lag": 0.17})
     refits = (
         RefittedEffect("delay", (), {"tau_delay": 0.11}, {"tau_delay": 0.02}),
@@ -621,7 +623,16 @@ def test_sizes_are_those_of_the_model_and_of_the_refits_of_its_diagnosis() -> No
     mounted, other = hypotheses(saved, ("mount", "gyro-scale"))
     assert not mounted.fitted  # its fitted size is negligible
     assert not other.fitted  # no fit has it
-    assert hypotheses(replace(saved, refits=refits[2:]), ("delay", "lag"))[0].errors is None
+    assert late.beside == lagged.beside == ""
+    # The wind was 2 N beside turned thrusters, and a design was made for the typical size, 8 N.
+    left = hypotheses(replace(saved, refits=refits[2:]), ("delay", "lag"))[0]
+    assert (left.model.values["tau_delay"], left.errors, left.beside) == (0.01, {"tau_delay": 0.03}, "lag")
+    assert "T_lag" not in left.model.values
+    row = _size_row(left)
+    assert (row.origin, row.beside) == ("fitted", "lag")
+    apart: Any = SimpleNamespace(sizes=(row,), probability=None)
+    assert _discrimination_lines(apart)[0].startswith("  delay (fitted size beside lag): tau_delay = 0.010 ± 0.03 s")
+    assert hypotheses(replace(saved, refits=()), ("delay", "lag"))[0].errors is None
 
 
 def test_typical_size_follows_the_size_of_the_boat() -> None:
