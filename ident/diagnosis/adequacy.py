@@ -806,7 +806,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
 def competitors_of(diagnosis: Diagnosis, attribution: EffectAttribution) -> list[str]:
     """Return the names of the competing models from which the recommended experiments distinguish an effect.
 
-    The first is the closest rival: a model that is not excluded, and was fitted in place of the effect. The effect that
+    The first is the closest model that is not excluded and was fitted in place of the effect. The effect that
     the first reason against the attribution names follows, if it is one of the catalogue. If there are neither, the
     result has the first of the other models that are not excluded. A special case of the effect, or an effect that
     contains it, is no competing model here: no experiment tells them apart. The list is empty if there is none that was

@@ -1000,7 +1000,7 @@ def _experiment_sentence(diagnosis: Diagnosis, doubted: EffectAttribution) -> st
 
     The experiment may decide which effect it is, unless the first reason against the name is a curve, from which no
     experiment distinguishes the effect. The sentence then names the effect from which the experiment distinguishes it.
-    It promises nothing about a rival from which only a mission of more than an hour distinguishes the effect.
+    It promises nothing about a competing model from which only a mission of over an hour distinguishes the effect.
     """
     experiment = "The recommended experiment (Next experiment, in the report)"
     competitors = competitors_of(diagnosis, doubted)
