@@ -122,20 +122,25 @@ class TimeLeft:
     ----------
     total
         Number of parts.
+    scope
+        What ends after these parts, such as "in this phase"; empty for the whole computation.
     """
 
-    def __init__(self, total: int) -> None:
-        """Store the number of parts. The time counts from here on."""
-        self._total, self._began = total, time.monotonic()
+    def __init__(self, total: int, scope: str = "") -> None:
+        """Store the number of parts and the scope. The time counts from here on."""
+        self._total, self._scope, self._began = total, scope, time.monotonic()
 
     def text(self, done: int, least: float = 0.0) -> str:
-        """Return the time left after ``done`` parts as text: ``40 s to go``.
+        """Return the time left after ``done`` parts as text, with the scope: ``40 s to go``.
 
-        With more than ``total`` parts, their number is at least ``least``.
+        With more than ``total`` parts, their number is at least ``least``. In a scope, the time left is not zero: the
+        parts may be more than expected, and other work follows.
         """
         total = max(self._total, least)
         seconds = (time.monotonic() - self._began) / max(done, 1) * max(total - done, 0)
-        return f"{duration_text(seconds)} to go"
+        if not self._scope:
+            return f"{duration_text(seconds)} to go"
+        return f"{duration_text(seconds) if seconds >= 5.0 else 'a few seconds'} to go {self._scope}"
 
 
 class TimedReporter:

@@ -1,10 +1,12 @@
 from .acceptance import is_immaterial as is_immaterial
 from .acceptance import removal_reason as removal_reason
-from .adequacy import competitor_of as competitor_of
+from .adequacy import competitors_of as competitors_of
 from .adequacy import contradicting_signs as contradicting_signs
+from .adequacy import is_mission_long as is_mission_long
 from .adequacy import is_no_better_prediction as is_no_better_prediction
 from .adequacy import reason_without_experiment as reason_without_experiment
 from .adequacy import recommended_experiment as recommended_experiment
+from .adequacy import with_excluded as with_excluded
 from .antenna import antenna_error as antenna_error
 from .certainty import NAME_RECORDS as NAME_RECORDS
 from .common_errors import COMMON_ERRORS as COMMON_ERRORS
@@ -16,6 +18,7 @@ from .findings import EffectAttribution as EffectAttribution
 from .findings import ModelUncertainty as ModelUncertainty
 from .findings import Outcome as Outcome
 from .findings import Refit as Refit
+from .findings import RejectedCommonErrors as RejectedCommonErrors
 from .findings import RemovedEffect as RemovedEffect
 from .findings import Round as Round
 from .findings import ValidationMismatch as ValidationMismatch

@@ -32,7 +32,7 @@ from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects import catalogue, is_special_case, separating_experiment
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
-from seatrial.ident.experiment_design import reason_without_mission
+from seatrial.ident.experiment_design import RELIABLE_T, reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, ModelKind, Parameter, ParameterOrigin
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
@@ -40,6 +40,10 @@ HEADING_ERROR, YAW_RATE = "psi", "r"  # sensor error that is a curve, and channe
 MOST_ADVISED = 3  # candidates that the advice on an experiment names
 MOST_SIZES = 4  # sizes of an effect that a reason for ambiguity lists
 CLEAR_SIGN = 2.0  # standard errors from zero, from which the sign of an estimate is known
+LONGEST_MISSION_S = 3600.0  # s: a longer mission is not recommended
+# Difference of two fits in 2 ln L that decides between them. It is twice that of a designed mission: of the present
+# data, the effect that fits better was chosen, so that their difference is partly chance.
+SURE_DIFFERENCE = 2.0 * RELIABLE_T
 SIZE_IS_KNOWN = 1.96  # standard errors from zero, from which the 95 % interval of a size does not contain zero
 
 
@@ -140,6 +144,34 @@ def assess_alternatives(
             EffectAttribution(name, "ambiguous" if reasons else "identified", texts, tuple(others), competitor)
         )
     return tuple(found)
+
+
+def with_excluded(diagnosis: Diagnosis, excluded: Sequence[Effect]) -> Diagnosis:
+    """Return the diagnosis with the candidates that the user left out of the search (``excluded``).
+
+    A declared alternative that was left out may be the true effect in place of an added one, and no test says whether
+    it is. An effect that it competes with is ambiguous for this reason, and not identified. It does not matter which
+    of both effects declares the other one as its alternative. Candidates that the model does not accept are no reason.
+    """
+    model = diagnosis.before.model
+    possible = [e for e in excluded if model.accepts(e)]
+    chosen = {r.chosen.effect.name: r.chosen.effect for r in diagnosis.rounds if r.chosen is not None}
+    judged = []
+    for found in diagnosis.attributions:
+        effect = chosen[found.effect]
+        left_out = [e for e in possible if e.name in effect.alternatives or effect.name in e.alternatives]
+        if found.attribution != "nonparametric" and left_out:
+            which = f"{' and '.join(e.title for e in left_out)}, which {'act' if len(left_out) > 1 else 'acts'}"
+            reason = f"{which} in a similar way, {'were' if len(left_out) > 1 else 'was'} left out of the search"
+            names = [e.name for e in left_out if e.name not in found.not_excluded]
+            found = replace(
+                found,
+                attribution="ambiguous",
+                reasons=(*found.reasons, f"{reason} (--exclude)"),
+                not_excluded=(*found.not_excluded, *names),
+            )
+        judged.append(found)
+    return replace(diagnosis, excluded=tuple(excluded), attributions=tuple(judged))
 
 
 def depends_on_remaining_tests(
@@ -732,36 +764,25 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     -----
     - The effects of uncertain name come first, in the order of the answer.
     - An effect with competing models that were fitted, or whose score test still passes: its experiment, and the
-      command that designs a mission to distinguish it from one of them (`competitor_of`). The command is left out if
-      one of both is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be
-      designed for the model. If no mission distinguishes them (`separating_experiment`), what does.
+      command that designs a mission to distinguish it from each of `competitors_of`. The command is left out if one
+      of both is a nonparametric effect, a user-defined effect or a difference between runs, or if no mission can be
+      designed for the model. If no mission distinguishes them (`separating_experiment`), what does. If a mission like
+      the present data would take more than an hour (`is_mission_long`), what to look at, and the experiments of both.
     - An ambiguous effect or a nonparametric curve without such competing models: its experiment.
     - No effect was selected, although candidates were fitted: for each round, the experiment of the effect that
       comes nearest (`Round.nearest`), otherwise that of the best refit, if it has one.
     """
-    titles, kinds = _titles_and_kinds(diagnosis)
     chosen = {r.chosen.effect.name: r.chosen.effect for r in diagnosis.rounds if r.chosen is not None}
     lines = []
     for attribution in sorted(diagnosis.attributions, key=lambda j: j.attribution != "ambiguous"):
         effect = chosen.get(attribution.effect)
         if effect is None:
             continue
-        competitor = competitor_of(diagnosis, attribution)
-        if competitor is not None and (instead := separating_experiment(effect.name, competitor)):
-            lines.append(
-                f"To distinguish {effect.title} from {titles[competitor]}: {instead}. A mission of thruster commands "
-                "may not distinguish them, however long it is, because one can imitate the other."
-            )
-        elif competitor is not None:
-            lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
-            of_catalogue = kinds[effect.name] is kinds[competitor] is EffectKind.CATALOGUE
-            of_catalogue &= {effect.name, competitor} <= set(catalogue())
-            if of_catalogue and not reason_without_mission(diagnosis.before.model):
-                lines.append(
-                    f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}` generates the mission; "
-                    "--area, --duration and --n-max are the limits of your water."
-                )
-        elif attribution.attribution == "ambiguous":
+        competitors = competitors_of(diagnosis, attribution)
+        lines += [line for name in competitors for line in _experiment_of_pair(diagnosis, effect, name)]
+        if competitors:
+            continue
+        if attribution.attribution == "ambiguous":
             lines.append(f"To test whether it is {effect.title}: {effect.experiment}.")
         elif attribution.attribution == "nonparametric":
             lines.append(
@@ -782,18 +803,100 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     return " ".join(dict.fromkeys(lines)) or None  # an effect can come nearest in several rounds
 
 
-def competitor_of(diagnosis: Diagnosis, attribution: EffectAttribution) -> str | None:
-    """Return the name of the competing model from which the recommended experiment distinguishes an effect.
+def competitors_of(diagnosis: Diagnosis, attribution: EffectAttribution) -> list[str]:
+    """Return the names of the competing models from which the recommended experiments distinguish an effect.
 
-    It is the one that the first reason against the effect names, if it is an effect of the catalogue. Otherwise it is
-    the closest of the models that are not excluded. A special case of the effect, or an effect that contains it, is no
-    competing model here: no experiment tells them apart. The result is None if there is none that was fitted, or whose
-    score test still passes.
+    The first is the closest model that is not excluded and was fitted in place of the effect. The effect that
+    the first reason against the attribution names follows, if it is one of the catalogue. If there are neither, the
+    result has the first of the other models that are not excluded. A special case of the effect, or an effect that
+    contains it, is no competing model here: no experiment tells them apart. The list is empty if there is none that was
+    fitted, or whose score test still passes.
     """
     titles, kinds = _titles_and_kinds(diagnosis)
-    named = [attribution.competitor] if kinds.get(attribution.competitor) is EffectKind.CATALOGUE else []
-    known = [name for name in (*named, *attribution.not_excluded) if name in titles and name != attribution.effect]
-    return next((name for name in known if not is_special_case(attribution.effect, name)), None)
+    name = attribution.effect
+    known = [n for n in attribution.not_excluded if n in titles and n != name and not is_special_case(name, n)]
+    rivals = [n for n in known if _fitted_instead(diagnosis, name, n) is not None]
+    named = attribution.competitor
+    is_effect = kinds.get(named) is EffectKind.CATALOGUE and named != name and not is_special_case(name, named)
+    return list(dict.fromkeys([*rivals[:1], *([named] if is_effect else [])])) or known[:1]
+
+
+def _fitted_instead(diagnosis: Diagnosis, effect: str, competitor: str) -> tuple[Refit, Refit] | None:
+    """Return the refits of an added effect and of a competitor, by name, that were fitted in the same round.
+
+    None if the competitor was not fitted in the round that added the effect.
+    """
+    for search_round in diagnosis.rounds:
+        if search_round.chosen is not None and search_round.chosen.effect.name == effect:
+            rivals = [q for q in search_round.refits if q.effect.name == competitor]
+            return (search_round.chosen, rivals[0]) if rivals else None
+    return None
+
+
+def is_mission_long(diagnosis: Diagnosis, effect: str, competitor: str) -> bool:
+    """Return whether a mission of thruster commands would take more than an hour to distinguish two effects.
+
+    The effects are given by name: an added one, and a competing model. A mission like the present data is meant
+    (`_mission_seconds`). The result is False if both were not fitted in the same round, so that this is not known.
+    """
+    return _mission_seconds(diagnosis, effect, competitor) > LONGEST_MISSION_S
+
+
+def _mission_seconds(diagnosis: Diagnosis, effect: str, competitor: str) -> float:
+    """Return how long [s] a mission like the estimation data has to be to distinguish two effects; 0 if not known.
+
+    The difference of both fits in 2 ln L grows with the duration. Here the penalty of the parameters is left out,
+    because it does not grow.
+    """
+    both = _fitted_instead(diagnosis, effect, competitor)
+    if both is None:
+        return 0.0
+    difference = abs(both[0].gain - both[1].gain)
+    seconds = sum(r.duration for r in diagnosis.before.records)
+    return float(seconds * SURE_DIFFERENCE / difference) if difference > 0.0 else float("inf")
+
+
+def _beside_missions(diagnosis: Diagnosis, effect: Effect, competitor: str) -> str:
+    """Return sentences on what distinguishes an added effect from a fitted competitor without a long mission.
+
+    They are the causes of both to look for on the boat, and the experiments in which both differ most.
+    """
+    both = _fitted_instead(diagnosis, effect.name, competitor)
+    assert both is not None  # otherwise the duration of a mission is not known
+    effects = (effect, both[1].effect)
+    needed = _mission_seconds(diagnosis, effect.name, competitor) / LONGEST_MISSION_S
+    seconds = sum(r.duration for r in diagnosis.before.records)
+    longer = f"about {needed:.0f} hours" if 1.5 <= needed < 100.0 else "more than an hour"
+    look = "; or ".join(e.causes for e in effects if e.causes)
+    tests = "; or ".join(e.experiment for e in effects if e.experiment)
+    return (
+        f"{f'look for {look}. ' if look else ''}Both explain these {seconds:.0f} s of data nearly equally "
+        f"well (2 ln L differs by {abs(both[0].gain - both[1].gain):.2g}), so that a run of the same kind would have "
+        f"to last {longer}. They differ most in these tests: {tests}."
+    )
+
+
+def _experiment_of_pair(diagnosis: Diagnosis, effect: Effect, competitor: str) -> list[str]:
+    """Return what distinguishes an added effect from a competing model, given by name, in sentences for reports.
+
+    A command that designs a mission follows if there is one (`recommended_experiment`).
+    """
+    titles, kinds = _titles_and_kinds(diagnosis)
+    begin = f"To distinguish {effect.title} from {titles[competitor]}:"
+    of_catalogue = all(kinds[n] is EffectKind.CATALOGUE and n in catalogue() for n in (effect.name, competitor))
+    has_command = of_catalogue and not reason_without_mission(diagnosis.before.model)
+    command = f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}`"
+    if instead := separating_experiment(effect.name, competitor):
+        return [
+            f"{begin} {instead}. A mission of thruster commands may not distinguish them, however long it is, because "
+            "one can imitate the other."
+        ]
+    if is_mission_long(diagnosis, effect.name, competitor):
+        check = f"{command} only checks whether another mission distinguishes them."
+        return [f"{begin} {_beside_missions(diagnosis, effect, competitor)}", *([check] if has_command else [])]
+    limits = "--area, --duration and --n-max are the limits of your water"
+    generate = f"{command} generates the mission; {limits}."
+    return [f"{begin} {effect.experiment}.", *([generate] if has_command else [])]
 
 
 def _titles_and_kinds(diagnosis: Diagnosis) -> tuple[dict[str, str], dict[str, EffectKind]]:

@@ -19,9 +19,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from seatrial.daq.errors import counted
 from seatrial.ident.data import Record
 from seatrial.ident.diagnosis.acceptance import Comparison
-from seatrial.ident.diagnosis.findings import CommonErrorsFit, CommonErrorsGain
+from seatrial.ident.diagnosis.findings import CommonErrorsFit, CommonErrorsGain, RejectedCommonErrors
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import ColumnIndex, ScoreEquations
 from seatrial.ident.effects import catalogue
@@ -263,11 +264,16 @@ def fit_common_errors(
     found: Sequence[str] = (),
     policy: SearchPolicy = DEFAULT_POLICY,
     detail: Callable[[str], None] | None = None,
-) -> CommonErrorsFit | None:
+) -> CommonErrorsFit | RejectedCommonErrors:
     """Fit a model together with the selected common errors, and accept the fit if the data support it.
 
     The fit starts at the one-step estimates, then at 30 % of them, then at zero, until it succeeds. A fit has failed,
     too, if the likelihood of the validation data is not finite with it. ``current`` is not changed.
+
+    Common errors hardly change the prediction. A significantly larger prediction error rejects them only if it is
+    larger by a factor above ``policy.min_error_ratio_beside``, below which a change does not matter beside them, or if
+    their gain on the validation data is not significant. The prediction of an unstable boat over 10 s depends on
+    chance, and few blocks of it say less than the likelihood of all samples.
 
     Parameters
     ----------
@@ -288,11 +294,11 @@ def fit_common_errors(
 
     Returns
     -------
-    CommonErrorsFit or None
-        None if no fit succeeds, if the criterion of the estimation data or the gain on the validation data is not
-        positive, or if the prediction is significantly worse.
+    CommonErrorsFit or RejectedCommonErrors
+        The reason of a rejection: no fit succeeds, the criterion of the estimation data or the gain on the validation
+        data is not positive, or the prediction is worse as described.
     """
-    effects = tuple(common[name] for name in members.names)
+    effects, problem = tuple(common[name] for name in members.names), ""
     for share in (1.0, 0.3, 0.0):
         try:
             model = with_common_errors(current.fit.model, effects, members.step, share, members.scan)
@@ -300,15 +306,28 @@ def fit_common_errors(
             compared = Comparison(current, fitted, policy)
             validated, t = compared.gain
             break
-        except FIT_ERRORS:
-            continue
+        except FIT_ERRORS as error:
+            problem = str(error)
     else:
-        return None
+        return RejectedCommonErrors(effects, f"no fit with them succeeds: {problem}")
     gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
     df = sum(p.free for e in effects for p in e.parameters)
     criterion = gain - df * float(np.log(sum(r.n_rows for r in records)))
-    if criterion <= 0 or validated <= 0 or compared.prediction.verdict == "rose":
-        return None
+    prediction = compared.prediction
+    worse = prediction.verdict == "rose" and (prediction.ratio > policy.min_error_ratio_beside or t <= policy.min_t)
+    if criterion <= 0:
+        reason = f"the fit gains too little by them for {counted(df, 'parameter')} (2 Δ ln L = {gain:.3g})"
+    elif validated <= 0:
+        reason = f"the log-likelihood of the validation data falls by {-validated:.2g} with them"
+    elif worse:
+        reason = (
+            f"the prediction error {prediction.horizon:g} s ahead is significantly larger with them on the validation "
+            f"data, by {100 * (prediction.ratio - 1):.2g} %"
+        )
+    else:
+        reason = ""
+    if reason:
+        return RejectedCommonErrors(effects, reason)
     gains = CommonErrorsGain(gain, df, criterion, validated, t, compared.prediction)
     return CommonErrorsFit(effects, fitted, tuple(found), gains)
 

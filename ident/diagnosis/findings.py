@@ -177,6 +177,22 @@ class CommonErrorsFit:
 
 
 @dataclass(frozen=True)
+class RejectedCommonErrors:
+    """Common errors that the score tests selected together, and that a model does not get, with the reason.
+
+    Attributes
+    ----------
+    effects
+        The errors, in the order of their selection.
+    reason
+        Reason as a clause for reports, without a full stop.
+    """
+
+    effects: tuple[Effect, ...]
+    reason: str
+
+
+@dataclass(frozen=True)
 class UntestedCandidate:
     """Candidate effect that could not be tested, with the reason.
 
@@ -332,7 +348,8 @@ class EffectAttribution:
     not_excluded
         Names of the competing models that the data do not exclude, closest first. Declared alternatives
         (`Effect.alternatives`) follow that could not be tested, that the estimated parameters of the model explain, so
-        that their score tests have no power, or whose score tests still pass beside several added effects.
+        that their score tests have no power, whose score tests still pass beside several added effects, or that the
+        user left out of the search.
     competitor
         Name of the effect or curve that the first of the ``reasons`` is about; empty if it is about none.
     """
@@ -524,6 +541,8 @@ class Diagnosis:
     common_errors
         Fit with the small errors that every craft has (timing and mounting of sensors, hull form). None if they were
         not added.
+    rejected_common_errors
+        Common errors that the search selected and did not add. None if it added them, or selected too few.
     uncertainty
         Shifts of the estimates of ``after`` by effects that it lacks. None if there are none.
     untried_waves
@@ -550,6 +569,7 @@ class Diagnosis:
     untried_scores: tuple[Score, ...] = ()
     policy: SearchPolicy = DEFAULT_POLICY
     common_errors: CommonErrorsFit | None = None
+    rejected_common_errors: RejectedCommonErrors | None = None
     uncertainty: ModelUncertainty | None = None
     untried_waves: float | None = None
 

@@ -63,6 +63,7 @@ from seatrial.ident.diagnosis.findings import (
     ModelUncertainty,
     Outcome,
     Refit,
+    RejectedCommonErrors,
     RemovedEffect,
     Round,
     ShortData,
@@ -297,6 +298,7 @@ def diagnose(
         untried_scores=tuple(search.untried),
         policy=search.policy,
         common_errors=search.common_errors,
+        rejected_common_errors=search.rejected_common_errors,
         untried_waves=_untried_waves(search, WAVES in start.candidates, current),
     )
 
@@ -326,11 +328,14 @@ class ModelAssessment:
         because the data do not need them or the model has them already.
     uncertainty
         Shifts of the estimates by the candidates that still pass; None if there is nothing to add.
+    rejected_common_errors
+        Common errors that the score tests selected and that were not added. None if there are none.
     """
 
     nominal: FittedModel
     common_errors: CommonErrorsFit | None
     uncertainty: ModelUncertainty | None
+    rejected_common_errors: RejectedCommonErrors | None = None
 
 
 def assess_model(
@@ -383,7 +388,7 @@ def assess_model(
     if extended is not None:
         passing = search.scored(extended)[1]
     uncertainty = search.uncertainty(passing, (extended or start.before).fit)
-    return ModelAssessment(start.before, search.common_errors, uncertainty)
+    return ModelAssessment(start.before, search.common_errors, uncertainty, search.rejected_common_errors)
 
 
 @dataclass(frozen=True)
@@ -756,6 +761,8 @@ class _Search:
         Common errors that can still be added together; empty as soon as this has been tried.
     common_errors
         Fit with the common errors, None if they have not been added.
+    rejected_common_errors
+        Common errors that were tried together and not added, None if there are none.
     equations
         Score equations of the last tested model, None before the first.
     rounds
@@ -787,6 +794,7 @@ class _Search:
     ) -> None:
         self.common = dict(common or {})
         self.common_errors: CommonErrorsFit | None = None  # of the model given, or added
+        self.rejected_common_errors: RejectedCommonErrors | None = None
         self.equations: ScoreEquations | None = None
         self.records, self.validation_data, self.candidates = records, validation_data, dict(candidates)
         self.reporter, self.policy, self.work = reporter, policy, work_of(reporter)
@@ -1063,8 +1071,8 @@ class _Search:
         Only candidates that pass their score tests are compared, without errors of sensors and without waves, which
         every boat has and which do not change the prediction. None if ``common`` is empty or no model was scored, if
         fewer than ``policy.min_common_errors`` of them are needed, if a single effect of the boat explains more, or if
-        the fit with them fails, is not supported by the data or predicts significantly worse. In the last case they are
-        not tried again (``common`` is empty). After a success ``common``, ``common_errors``, ``candidates`` and
+        they are rejected (`fit_common_errors`). In the last case they are in ``rejected_common_errors``, and are not
+        tried again (``common`` is empty). After a success ``common``, ``common_errors``, ``candidates`` and
         ``policy`` are changed.
 
         Parameters
@@ -1089,14 +1097,16 @@ class _Search:
         self.reporter.progress(f"fitting with {counted(len(joint.names), 'common error')}: {names}")
         before = [r.chosen.effect.name for r in self.rounds if r.chosen is not None]
         with self.work.timed("exact"):
-            self.common_errors = fit_common_errors(
+            found = fit_common_errors(
                 current, self.records, self.validation_data, joint, common, found=before, policy=self.policy,
                 detail=self.reporter.detail,
             )  # fmt: skip
-        if self.common_errors is None:
+        if isinstance(found, RejectedCommonErrors):
+            self.rejected_common_errors = found
+            self.reporter.progress(f"leaving the common errors out: {found.reason}")
             return None
-        self.keep_common_errors(self.common_errors)
-        return self.common_errors.fitted
+        self.keep_common_errors(found)
+        return found.fitted
 
     def keep_common_errors(self, found: CommonErrorsFit) -> None:
         """Continue the search with a model that has the common errors.

@@ -251,7 +251,9 @@ def _effect_form_for_model(model: Model, name: str) -> Effect:
     return fitting[0]
 
 
-def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, float]) -> tuple[Model, list[str]]:
+def fix_parameters(
+    model: Model, thruster: Path | None, given: Mapping[str, float], *, diagnosed: bool = False
+) -> tuple[Model, list[str]]:
     """Return the model with known parameters: thrust from a bench test, and fixed values from the command line.
 
     The thrust coefficients c1 and c2 from the bench get a prior with their standard uncertainty (statistics and
@@ -266,6 +268,9 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
         Model file of a bench test; None if there is none.
     given
         Values to which parameters are fixed, by name and in the parameters' units.
+    diagnosed
+        Whether effects that the model lacks are searched for. The advice about a parameter of such an effect is then
+        another one, since a search has no option ``--effect``.
 
     Returns
     -------
@@ -303,7 +308,7 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
                     )
     for name, value in given.items():
         if name not in model.values:
-            raise _no_parameter(model, "--fix", name, given[name])
+            raise _no_parameter(model, "--fix", name, given[name], diagnosed=diagnosed)
         try:
             known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
         except ValueError as problem:
@@ -353,13 +358,15 @@ def _check_arms(model: Model) -> None:
     )
 
 
-def _no_parameter(model: Model, option: str, name: str, value: float | None = None) -> SeatrialError:
+def _no_parameter(
+    model: Model, option: str, name: str, value: float | None = None, *, diagnosed: bool = False
+) -> SeatrialError:
     """Return the error about a name of ``--fix``, ``--prior`` or ``--initial`` that is no parameter of the model.
 
     It has all names, and the nearest one if there is one. For the mass of the boat it names the option of the weighed
-    mass, with its ``value`` [kg]. It names the effect to which the parameter belongs. For the
-    position of a thruster it says that the model does not use positions. In a rig file, a position has no effect on
-    such a model.
+    mass, with its ``value`` [kg]. It names the effect to which the parameter belongs. It says how the value is given to
+    a fit, or to a search for missing effects if ``diagnosed``. For the position of a thruster it says that the model
+    does not use positions. In a rig file, a position has no effect on such a model.
     """
     text = f"{option} {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
     if name in ARMS and not set(ARMS) & set(model.values):
@@ -368,10 +375,22 @@ def _no_parameter(model: Model, option: str, name: str, value: float | None = No
     elif name in WEIGHED and value is not None and "m_u" in model.values:
         text += f"; the weighed mass is --mass={value:g}; m_u is the mass in surge with the added mass"
     elif effects := [e.name for e in catalogue().values() if name in {p.name for p in e.parameters}]:
-        text += (
-            f"; it is a parameter of the effect {' or '.join(effects)}: add --effect {effects[0]}, and "
-            "--no-score-tests to fit no other effects than those of --effect"
-        )
+        belongs = f"; it is a parameter of the effect {' or '.join(effects)}"
+        if diagnosed and name in AT_THRUSTERS:
+            text += (
+                f"{belongs}, which is not in the model: give {POSITION} and {POSITION}_sd in [geometry] of the import "
+                "map, or in [vehicle] of the rig file; they are its prior in the search"
+            )
+        elif diagnosed:
+            text += (
+                f"{belongs}, which is not in the model: fit it with `seatrial ident vehicle --effect {effects[0]} "
+                f"--fix {name}={value:g}`, and diagnose the model.toml of that fit"
+            )
+        else:
+            text += (
+                f"{belongs}: add --effect {effects[0]}, and --no-score-tests to fit no other effects than those of "
+                "--effect"
+            )
     elif near := closest_name(name, model.values):
         text += f"; did you mean {near!r}?"
     return SeatrialError(text)

@@ -114,7 +114,9 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
                 f"{p.name} = {formatting.plain(p.value)} {formatting.typeset_unit(p.unit)}".rstrip()
                 for p in row.parameters
             ]
-            found.append((f"{row.origin} size of {row.effect}", ", ".join(values)))
+            found.append(
+                (f"{row.origin} size of {row.effect}{f', beside {row.beside}' * bool(row.beside)}", ", ".join(values))
+            )
     return found
 
 

@@ -198,6 +198,7 @@ def vehicle_result(
     """
     reported = ReportedEstimates(fitted.fit)
     common = None if posed.assessment is None else posed.assessment.common_errors
+    rejected = None if posed.assessment is None else posed.assessment.rejected_common_errors
     homogeneity = [homogeneity_reported(a, reported) for a in homogeneity]
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
@@ -229,7 +230,7 @@ def vehicle_result(
         ),
         notes=(
             *(untested_notes(fitted.model, posed.effect_parameters) if searchable and untested else ()),
-            *common_errors_notes(common, "the model"),
+            *common_errors_notes(common, "the model", rejected),
             *model_uncertainty_notes(uncertainty, fitted.fit),
             *thrust_of_notes(fitted.fit),
             *prior_notes(fitted.fit),
@@ -652,6 +653,9 @@ class HypothesisSize(Part, frozen=True, kw_only=True):
     parameters: Annotated[
         tuple[EffectParameter, ...], Meta(description="its parameters; `se` is null for a typical size")
     ]
+    beside: Annotated[
+        str, Meta(description="the other effect, if the fit of the size has both; empty: the fit has this effect alone")
+    ] = ""
 
 
 class Discrimination(Part, frozen=True, kw_only=True):

@@ -24,10 +24,11 @@ from seatrial.ident.diagnosis import (
     RemovedEffect,
     Round,
     ValidationMismatch,
-    competitor_of,
+    competitors_of,
     contradicting_signs,
     detectable_sizes,
     is_immaterial,
+    is_mission_long,
     is_no_better_prediction,
     reason_without_experiment,
     recommended_experiment,
@@ -999,14 +1000,25 @@ def _experiment_sentence(diagnosis: Diagnosis, doubted: EffectAttribution) -> st
 
     The experiment may decide which effect it is, unless the first reason against the name is a curve, from which no
     experiment distinguishes the effect. The sentence then names the effect from which the experiment distinguishes it.
+    It promises nothing about a competing model from which only a mission of over an hour distinguishes the effect.
     """
     experiment = "The recommended experiment (Next experiment, in the report)"
-    competitor = competitor_of(diagnosis, doubted)
-    if competitor is None or doubted.competitor in ("", competitor):
-        return f"{experiment} may decide this."
+    competitors = competitors_of(diagnosis, doubted)
     titles = {q.effect.name: q.effect.title for r in diagnosis.rounds for q in r.refits}
-    title = titles.get(competitor) or candidate_title(competitor)
-    return f"{experiment} distinguishes it from {title}, which the data do not exclude either."
+    long = [name for name in competitors if is_mission_long(diagnosis, doubted.effect, name)]
+    others = [name for name in competitors if name not in long]
+    sentences = []
+    if not competitors or doubted.competitor in others or (others and not doubted.competitor):
+        sentences.append(f"{experiment} may decide this.")
+    elif others:
+        title = titles.get(others[0]) or candidate_title(others[0])
+        sentences.append(f"{experiment} distinguishes it from {title}, which the data do not exclude either.")
+    sentences += [
+        f"A mission of thruster commands is unlikely to distinguish it from {titles[name]} within an hour; Next "
+        "experiment, in the report, says what else to look at."
+        for name in long
+    ]
+    return " ".join(sentences)
 
 
 def _physical_parameters(model: Model) -> list[str]:
@@ -1430,7 +1442,7 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     """
     named = [f"{r.effect.name} ({r.effect.title})" for r in diagnosis.effects if r.effect.name in catalogue()]
     notes = [f"Names for --effect: {', '.join(named)}."] if named else []
-    notes += common_errors_notes(diagnosis.common_errors, "the effects")
+    notes += common_errors_notes(diagnosis.common_errors, "the effects", diagnosis.rejected_common_errors)
     notes += [f"The data exclude {r.effect.title}, which was not tested: {r.reason}." for r in diagnosis.refuted]
     if diagnosis.effects and diagnosis.untried_waves is not None:
         notes.append(_waves_sentence(diagnosis.untried_waves))

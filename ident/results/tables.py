@@ -16,7 +16,7 @@ import numpy as np
 from seatrial.daq.errors import counted
 from seatrial.ident import validation
 from seatrial.ident.data import LoadedLog, Record, given_inputs
-from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
+from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty, RejectedCommonErrors
 from seatrial.ident.estimation import (
     AT_BOUND,
     Fit,
@@ -832,7 +832,9 @@ def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: 
     )
 
 
-def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]:
+def common_errors_notes(
+    found: CommonErrorsFit | None, beside: str, rejected: RejectedCommonErrors | None = None
+) -> list[str]:
     """Return a note that names the common errors in the model, with their gain on the validation data.
 
     Common errors are small errors that every craft has: sensor timing, mounting, hull form. The gain is unknown, and
@@ -841,12 +843,15 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
     Parameters
     ----------
     found : CommonErrorsFit or None
-        Fit with the common errors. If it is None, because the model has none, the list is empty.
+        Fit with the common errors. None if the model has none.
+    rejected : RejectedCommonErrors or None
+        Common errors that were tried and not added. If ``found`` is None, the note names them and the reason. If both
+        are None, the list is empty.
     beside : str
         What they are estimated together with, for example "the effects".
     """
     if found is None:
-        return []
+        return [] if rejected is None else [_rejected_sentence(rejected, beside)]
     titles = listed([e.title for e in found.effects])
     gains = found.gains
     support = (
@@ -855,6 +860,15 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
         else f"their gain in log-likelihood of the validation data is {gains.validation_gain:.0f}, t = {gains.t:.1f}"
     )
     return [f"Small errors that every craft has are estimated together with {beside}: {titles} ({support})."]
+
+
+def _rejected_sentence(rejected: RejectedCommonErrors, beside: str) -> str:
+    """Return the sentence about common errors that the score tests ask for and that a model does not get."""
+    return (
+        f"Small errors that every craft has are not estimated together with {beside}, although the score tests ask for "
+        f"them ({listed([e.title for e in rejected.effects])}), because {rejected.reason}. Without them, masses and "
+        "damping may be biased, and the score tests may find other effects in their place."
+    )
 
 
 SCORES_PASS = "By the score tests"  # begins the note on effects that may be missing

@@ -221,7 +221,7 @@ def make_design(
     if request.between:
         made, apart = _discrimination_design(task, compared, request, reporter)
     else:
-        left = TimeLeft(request.evaluations)
+        left = TimeLeft(request.evaluations, "in this phase")
         made = design(
             task,
             evaluations=request.evaluations,
@@ -614,7 +614,7 @@ def _discrimination_design(
     """
     a, b = (h.model for h in compared)
     total = max(request.evaluations // 8, 500)
-    left = TimeLeft(total)
+    left = TimeLeft(total, "in this phase")
     made: DiscriminationDesign = discriminate(
         a,
         b,
@@ -661,11 +661,14 @@ class EffectHypothesis:
         Model with this effect and without the other one.
     errors
         Standard errors of its fitted parameters by name, as far as they are known. None: the size is a typical one.
+    beside
+        Name of the other effect if the fit of the size has it too; empty otherwise.
     """
 
     effect: str
     model: Model
     errors: Mapping[str, float] | None = None
+    beside: str = ""
 
     @property
     def fitted(self) -> bool:
@@ -678,11 +681,12 @@ def hypotheses(known: SavedModel | Model, names: Sequence[str]) -> tuple[EffectH
 
     The other effect is removed if the model has it, because a model with both effects would predict well whichever is
     true. An effect has its fitted size: that of the model, or else that of the last refit of the diagnosis without the
-    other effect. The other parameters are those of the model in both hypotheses. An effect without a fit, or with a
-    negligible fitted size, has a typical size: the initial value of each parameter plus half of the standard deviation
-    of its prior, or plus five characteristic steps if it has no prior, limited to its bounds. A fitted size is
-    negligible if each parameter that is zero without the effect is below 2 % of the standard deviation of its prior, or
-    below one characteristic step if it has no prior. Of a one-sided effect only the first parameter counts.
+    other effect, or else that of the last refit beside it. The other parameters are those of the model in both
+    hypotheses. An effect without a fit, or with a negligible fitted size, has a typical size: the initial value of each
+    parameter plus half of the standard deviation of its prior, or plus five characteristic steps if it has no prior,
+    limited to its bounds. A fitted size is negligible if each parameter that is zero without the effect is below 2 % of
+    the standard deviation of its prior, or below one characteristic step if it has no prior. Of a one-sided effect only
+    the first parameter counts.
 
     Parameters
     ----------
@@ -718,13 +722,15 @@ def _hypothesis(known: SavedModel | Model, name: str, other: str) -> EffectHypot
     effect = _effect_for(model, name) if own is None else own
     with_it = model + effect if own is None else model
     typical = EffectHypothesis(name, with_it.with_values(_typical_sizes(effect)))
+    beside = ""
     values: Mapping[str, float] = with_it.values
     errors: Mapping[str, float] = {} if saved is None else saved.errors
     if own is None:
-        refit = None if saved is None else refit_without(saved.refits, name, other)
+        refit = None if saved is None else refit_of(saved.refits, name, other)
         if refit is None or set(refit.values) != {p.name for p in effect.parameters}:
             return typical
         values, errors = refit.values, refit.errors
+        beside = other if other in refit.beside else ""
     # Only these parameters are sizes. Others are places or shapes: they are not zero without the effect, or follow the
     # amplitude of a one-sided effect.
     sizing = [p for p in (effect.parameters[:1] if effect.one_sided else effect.parameters) if p.value == 0.0]
@@ -733,12 +739,16 @@ def _hypothesis(known: SavedModel | Model, name: str, other: str) -> EffectHypot
         return typical
     kept = {p.name: values[p.name] for p in effect.parameters}
     known_errors = {n: float(errors[n]) for n in kept if np.isfinite(errors.get(n, np.nan))}
-    return EffectHypothesis(name, with_it.with_values(kept), known_errors)
+    return EffectHypothesis(name, with_it.with_values(kept), known_errors, beside)
 
 
-def refit_without(refits: Sequence[RefittedEffect], name: str, other: str) -> RefittedEffect | None:
-    """Return the last refit of the effect ``name`` in a model without the effect ``other``; None if it is missing."""
-    return next((r for r in reversed(refits) if r.name == name and other not in r.beside), None)
+def refit_of(refits: Sequence[RefittedEffect], name: str, other: str) -> RefittedEffect | None:
+    """Return the last refit of the effect ``name`` in a model without the effect ``other``.
+
+    If it is missing, the last refit beside the other effect takes its place; None if there is no refit.
+    """
+    own = [r for r in reversed(refits) if r.name == name]
+    return next((r for r in own if other not in r.beside), own[0] if own else None)
 
 
 def _effect_for(model: Model, name: str) -> Effect:
@@ -784,8 +794,9 @@ def _size_row(hypothesis: EffectHypothesis) -> HypothesisSize:
             )
         )  # fmt: skip
     return HypothesisSize(
-        effect=hypothesis.effect, origin="fitted" if hypothesis.fitted else "typical", parameters=tuple(rows)
-    )
+        effect=hypothesis.effect, origin="fitted" if hypothesis.fitted else "typical", parameters=tuple(rows),
+        beside=hypothesis.beside,
+    )  # fmt: skip
 
 
 def _track_table(track: PredictedTrack, limits: DesignLimits) -> DesignTrack:
@@ -950,7 +961,8 @@ def _discrimination_lines(apart: Discrimination) -> list[str]:
             f"{p.name} = {format_number(p.value)}{error} {typeset_unit(p.unit)}".rstrip()
             for p, error in zip(row.parameters, errors, strict=True)
         ]
-        origin = "fitted size" if row.origin == "fitted" else "typical size, since no fit has one"
+        beside = f" beside {row.beside}" * bool(row.beside)
+        origin = f"fitted size{beside}" if row.origin == "fitted" else "typical size, since no fit has one"
         lines.append(f"  {row.effect} ({origin}): {', '.join(values)}")
     if apart.probability is not None:
         lines.append(f"  {apart.wrong_choice}")

@@ -16,11 +16,18 @@ from seatrial.ident.diagnosis import (
     diagnose,
     evaluate_diagnosis,
     rows_of_search,
+    with_excluded,
     with_times,
     with_weighed_mass,
 )
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import EstimationOptions, RefittedEffect, fix_parameters, load_model
+from seatrial.ident.estimation import (
+    EstimationOptions,
+    RefittedEffect,
+    fix_parameters,
+    load_model,
+    with_effect_priors,
+)
 from seatrial.ident.model import Effect, EffectKind, Model, ModelKind
 from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.models import effects_for, with_thrust_of
@@ -228,7 +235,9 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     ]
     if request.rate is None:
         model, usual_rate = rows_of_search(model, saved.validity, usual_rate)
-    model, fixed_notes = fix_parameters(model, None, request.fixed) if request.fixed else (model, [])
+    # model.toml has no priors of effects that it does not contain
+    model = with_effect_priors(model, loaded[0].vehicle, loaded[0].rig)
+    model, fixed_notes = fix_parameters(model, None, request.fixed, diagnosed=True)
     loaded, validation_logs = check_first(loaded, validation_logs, model, request.despite_faults)
     if model.kind is ModelKind.VEHICLE:
         require_thrust_and_length(runs, model, request.despite_faults)
@@ -252,7 +261,7 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     with progress.work.timed("evaluation"):
         evaluation = evaluate_diagnosis(found, horizon)
     progress.progress("computing the result")
-    found = with_weighed_mass(replace(found, excluded=tuple(excluded.values())), hull.get("mass"))
+    found = with_weighed_mass(with_excluded(found, tuple(excluded.values())), hull.get("mass"))
     result = diagnosis_result(
         found,
         evaluation,

@@ -1310,6 +1310,9 @@ def test_an_excluded_effect_is_not_found(
     assert "yaw-bias" in names
     assert "mismatch" not in names | {c.name for c in without.result.remaining_candidates}
     assert "mismatch" not in {d.name for d in without.result.detectable}
+    assert without.effects
+    for effect in without.result.effects:  # each of them competes with the mismatch
+        assert (effect.attribution, effect.not_excluded[-1]) == ("ambiguous", "mismatch")
     assert (
         "Left out of the search (exclude): a thrust mismatch of the left and right thrusters. If the data contain this "
         "effect, other effects or the disturbance forces stand for it." in without.answer

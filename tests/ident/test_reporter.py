@@ -39,6 +39,17 @@ def test_time_left_of_more_parts_than_expected_counts_the_least_number(monkeypat
     assert left.text(61, 100.0) == "39 s to go"
 
 
+def test_time_left_of_a_phase_is_not_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A design once said "0 s to go" at 5:08 of 7:31: its search took more parts than expected, and phases followed."""
+    now = [0.0]
+    monkeypatch.setattr("seatrial.ident.reporter.time.monotonic", lambda: now[0])
+    left = TimeLeft(2500, "in this phase")
+    now[0] = 250.0
+    assert left.text(2400) == "10 s to go in this phase"
+    for done in (2490, 2500, 2532):
+        assert left.text(done) == "a few seconds to go in this phase"
+
+
 def test_details_are_printed_at_most_every_30_seconds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -42,6 +42,8 @@ from seatrial.ident.workflows.design import (
     DesignRequest,
     _design_answer,
     _design_warnings,
+    _discrimination_lines,
+    _size_row,
     design_summary,
     hypotheses,
     make_design,
@@ -147,13 +149,16 @@ def test_progress_counts_all_simulations_and_has_the_time_to_go(duration: float,
     reporter: Any = SimpleNamespace(progress=lambda text, _: lines.append(text), warning=lines.append)
     request = DesignRequest(duration=duration, steps=steps, evaluations=900)
     make_design(SMALL, request, tmp_path / "m.toml", "", reporter)
-    pattern = r"design: (\d+) of about 900 simulations, search (\d+) of (\d+), D [-\d.]+ \((\d+) (s|min) to go\)"
+    pattern = (
+        r"design: (\d+) of about 900 simulations, search (\d+) of (\d+), D [-\d.]+ "
+        r"\((\d+ s|\d+ min|a few seconds) to go in this phase\)"
+    )
     found = [match for line in lines if (match := re.fullmatch(pattern, line))]
     counts = [int(match[1]) for match in found]
     assert len(counts) > 5
     assert counts == sorted(counts)
     assert 800 < counts[-1] < 1000
-    assert found[-1][4] == "0"
+    assert found[-1][4] == "a few seconds"  # phases follow
     searches, many = [int(match[2]) for match in found], 6 if duration == 240.0 else 5
     assert {match[3] for match in found} == {str(many)}
     assert searches == sorted(searches)
@@ -223,7 +228,9 @@ def test_progress_of_a_discrimination_has_the_time_to_go_of_each_phase(
         "random missions" in text or "best of 20" in text for text in (page, *lines, *design_summary(result))
     )
     (search,) = [line for line in lines if "comparisons, search" in line]
-    assert re.search(r"\(\d+ (s|min) to go, then random sequences for comparison\)$", search)
+    assert re.search(
+        r"\((\d+ (s|min)|a few seconds) to go in this phase, then random sequences for comparison\)$", search
+    )
     assert not any(words in search for words in APART_PHASES[5:])  # the phase would be a later one
     assert lines.count("design: comparison with random sequences") == 1
 
@@ -237,7 +244,8 @@ def test_progress_has_no_criterion_while_a_limit_is_violated(tmp_path: Path) -> 
     found = [line for line in lines if "simulations" in line]
     assert found
     for line in found:
-        assert re.search(r", search \d of 5, no mission within the limits so far \(\d+ \w+ to go\)$", line), line
+        time = r"\((\d+ (s|min)|a few seconds) to go in this phase\)"
+        assert re.search(rf", search \d of 5, no mission within the limits so far {time}$", line), line
     assert search_state(SINGULAR, "D -1e9") == "no mission so far that informs all parameters"
     assert search_state(38.2, "D 38.20") == "D 38.20"
 
@@ -600,7 +608,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
 
 
 def test_sizes_are_those_of_the_model_and_of_the_refits_of_its_diagnosis() -> None:
-    """A refit beside the other effect tells how much is left for this one, so that it does not count."""
+    """A refit beside the other effect tells how much is left for this one, so that it counts only without another."""
     model = (horizontal_model() + catalogue()["lag"]).with_values({"T_lag": 0.17})
     refits = (
         RefittedEffect("delay", (), {"tau_delay": 0.11}, {"tau_delay": 0.02}),
@@ -615,7 +623,16 @@ def test_sizes_are_those_of_the_model_and_of_the_refits_of_its_diagnosis() -> No
     mounted, other = hypotheses(saved, ("mount", "gyro-scale"))
     assert not mounted.fitted  # its fitted size is negligible
     assert not other.fitted  # no fit has it
-    assert hypotheses(replace(saved, refits=refits[2:]), ("delay", "lag"))[0].errors is None
+    assert late.beside == lagged.beside == ""
+    # The wind was 2 N beside turned thrusters, and a design was made for the typical size, 8 N.
+    left = hypotheses(replace(saved, refits=refits[2:]), ("delay", "lag"))[0]
+    assert (left.model.values["tau_delay"], left.errors, left.beside) == (0.01, {"tau_delay": 0.03}, "lag")
+    assert "T_lag" not in left.model.values
+    row = _size_row(left)
+    assert (row.origin, row.beside) == ("fitted", "lag")
+    apart: Any = SimpleNamespace(sizes=(row,), probability=None)
+    assert _discrimination_lines(apart)[0].startswith("  delay (fitted size beside lag): tau_delay = 0.010 ± 0.03 s")
+    assert hypotheses(replace(saved, refits=()), ("delay", "lag"))[0].errors is None
 
 
 def test_typical_size_follows_the_size_of_the_boat() -> None:

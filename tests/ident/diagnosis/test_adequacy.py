@@ -18,14 +18,23 @@ from seatrial.ident.diagnosis.adequacy import (
     AttributionEvidence,
     assess_alternatives,
     depends_on_remaining_tests,
+    with_excluded,
 )
-from seatrial.ident.diagnosis.findings import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
+from seatrial.ident.diagnosis.findings import (
+    Diagnosis,
+    EffectAttribution,
+    EffectImportance,
+    Refit,
+    Round,
+    UntestedCandidate,
+)
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Effect, EffectPrior, ForceCurve
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.scaling import effect_for
 from seatrial.ident.numerics import Array
@@ -296,6 +305,34 @@ def test_untested_alternative_is_not_excluded() -> None:
     sag = refit("current-drift", 200.0, alternatives=("wind", "battery-sag"))
     (found,) = attributions_of(one_round(sag), untested=("battery-sag",))
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("battery-sag",))
+
+
+@pytest.mark.parametrize(
+    ("excluded", "names"),
+    [
+        (("thrust-angle", "propeller-walk"), ("thrust-angle", "propeller-walk")),  # they name mismatch, not it them
+        (("yaw-bias", "filter-lag"), ("yaw-bias",)),
+        (("filter-lag", "cell-drift"), ()),
+    ],
+)
+def test_an_effect_whose_alternatives_were_left_out_is_no_sure_name(
+    excluded: tuple[str, ...], names: tuple[str, ...]
+) -> None:
+    """A turned thruster was "identified" as a thrust mismatch, because the search had left out the true effect."""
+    chosen = replace(refit("mismatch", 200.0), effect=catalogue()["mismatch"])
+    before = cast(Any, SimpleNamespace(model=with_disturbances(horizontal_model())))
+    sure = EffectAttribution("mismatch", "identified")
+    found = Diagnosis(before, before, (one_round(chosen),), (), (), attributions=(sure,))
+    judged = with_excluded(found, [catalogue()[n] for n in excluded])
+    assert [e.name for e in judged.excluded] == list(excluded)
+    (attribution,) = judged.attributions
+    assert (attribution.attribution == "ambiguous") == bool(names)
+    assert attribution.not_excluded == names
+    titles = " and ".join(catalogue()[n].title for n in names)
+    assert len(attribution.reasons) == bool(names)
+    for reason in attribution.reasons:
+        assert reason.startswith(f"{titles}, which act")
+        assert reason.endswith(" left out of the search (--exclude)")
 
 
 def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> None:

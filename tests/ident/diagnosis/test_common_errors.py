@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from seatrial.ident.diagnosis.common_errors import (
     with_common_errors,
     with_forms,
 )
+from seatrial.ident.diagnosis.findings import CommonErrorsFit, RejectedCommonErrors
 from seatrial.ident.diagnosis.score_test import (
     ColumnIndex,
     NormalEquations,
@@ -31,6 +32,7 @@ from seatrial.ident.diagnosis.score_test import (
 from seatrial.ident.effects import catalogue
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import STANDARD, horizontal_model
+from seatrial.ident.results.tables import common_errors_notes
 from seatrial.ident.validation.prediction_errors import PredictionChange
 
 N = 4000  # rows; the penalty of a parameter is ln 4000 = 8.3
@@ -180,7 +182,48 @@ def test_fit_with_a_likelihood_that_is_not_finite_on_the_validation_data_has_fai
     records: Any = [SimpleNamespace(n_rows=100)]
     score = CommonErrorScore(("gyro-scale",), 50.0, {})
     found = fit_common_errors(current, records, [], score, common("gyro-scale"))  # type: ignore[arg-type]
-    assert (found is not None) == accepted
+    assert isinstance(found, CommonErrorsFit) == accepted
+    if isinstance(found, RejectedCommonErrors):
+        assert found.reason.startswith("no fit with them succeeds: the likelihood of these validation data is not fin")
+        assert [e.name for e in found.effects] == ["gyro-scale"]
+
+
+@pytest.mark.parametrize(
+    ("estimated", "validated", "t", "prediction", "reason"),
+    [
+        (1000.0, 359.0, 5.7, (1.055, 1.026, 1.085), ""),
+        (1000.0, 359.0, 5.7, (1.15, 1.03, 1.3), "the prediction error 10 s ahead is significantly larger with them"),
+        (1000.0, 9.0, 1.5, (1.055, 1.026, 1.085), "the prediction error 10 s ahead is significantly larger with them"),
+        (1000.0, 9.0, 1.5, (1.15, 0.98, 1.3), ""),
+        (1000.0, -9.0, -1.5, (0.9, 0.8, 0.95), "the log-likelihood of the validation data falls by 9 with them"),
+        (1.0, 359.0, 5.7, (0.9, 0.8, 0.95), "the fit gains too little by them for 1 parameter (2 Δ ln L = 2)"),
+    ],
+)
+def test_common_errors_with_a_clear_gain_are_kept_despite_a_small_loss_of_prediction(
+    monkeypatch: pytest.MonkeyPatch,
+    estimated: float,
+    validated: float,
+    t: float,
+    prediction: tuple[float, float, float],
+    reason: str,
+) -> None:
+    """On an unstable boat an error of 10 s that rose by 5.5 % once dropped 900 ln L of timing and compass errors."""
+    ratio, low, high = prediction
+    compared = SimpleNamespace(gain=(validated, t), prediction=PredictionChange(ratio, low, high, 10.0, {}))
+    extended = SimpleNamespace(fit=SimpleNamespace(log_posterior=estimated))
+    monkeypatch.setattr(common_errors, "fit_and_evaluate", lambda *_, **__: extended)
+    monkeypatch.setattr(common_errors, "Comparison", lambda *_: compared)
+    before = SimpleNamespace(model=make_model("horizontal:shaft", STANDARD), log_posterior=0.0)
+    score = CommonErrorScore(("gyro-scale",), 50.0, {})
+    current, records = SimpleNamespace(fit=before), [SimpleNamespace(n_rows=100)]
+    found = fit_common_errors(cast(Any, current), cast(Any, records), cast(Any, []), score, common("gyro-scale"))
+    if reason:
+        assert isinstance(found, RejectedCommonErrors)
+        assert found.reason.startswith(reason)
+        (note,) = common_errors_notes(None, "the model", found)
+        assert f"({catalogue()['gyro-scale'].title}), because {reason}" in note
+    else:
+        assert isinstance(found, CommonErrorsFit)
 
 
 def test_a_model_has_the_members_that_suit_its_inputs() -> None:

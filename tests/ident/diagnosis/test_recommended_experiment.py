@@ -8,12 +8,13 @@ from typing import Any, cast
 
 import pytest
 
-from seatrial.ident.diagnosis.adequacy import competitor_of, reason_without_experiment, recommended_experiment
+from seatrial.ident.diagnosis.adequacy import competitors_of, reason_without_experiment, recommended_experiment
 from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, Outcome, Refit, Round
 from seatrial.ident.effects import catalogue, nonparametric_effect, separating_experiment
 from seatrial.ident.model import Effect, EffectKind, ForceCurve
 from seatrial.ident.models import horizontal_model, with_disturbances
 from seatrial.ident.models.thruster import thruster_model
+from seatrial.ident.results.diagnosis import diagnosis_caveat
 
 OWN = replace(catalogue()["cubic-drag"], name="skeg-drag", title="drag of the skeg")  # of a file of the user
 
@@ -89,21 +90,70 @@ def test_no_experiment_distinguishes_an_effect_from_its_special_case() -> None:
 def test_the_experiment_is_for_the_pair_of_the_first_doubt() -> None:
     """The caveat doubts wind because of the lift, and the experiment was for another effect and its competitor."""
     known, curve = catalogue(), SimpleNamespace(name="X(u)", kind=EffectKind.NONPARAMETRIC)
-    refits = [SimpleNamespace(effect=known[name]) for name in ("cubic-drag", "wind", "filter-lag", "current-drift")]
+    names, gains = ("cubic-drag", "wind", "filter-lag", "current-drift"), (300.0, 280.0, 100.0, 150.0)
+    refits = [SimpleNamespace(effect=known[name], gain=gain) for name, gain in zip(names, gains, strict=True)]
     drag, wind = refits[:2]
     sure = EffectAttribution("cubic-drag", "identified", (), ("filter-lag",))
     doubted = EffectAttribution("wind", "ambiguous", ("tests find the lift",), ("current-drift",), "lift")
     rounds = [SimpleNamespace(chosen=refit, refits=refits) for refit in (drag, wind)]
-    before, effects = SimpleNamespace(model=horizontal_model()), ("cubic-drag", "wind")
+    before = SimpleNamespace(model=horizontal_model(), records=[SimpleNamespace(duration=600.0)])
+    effects = ("cubic-drag", "wind")
     left = [blank_score("lift"), curve]
     found = of(effects=effects, attributions=[sure, doubted], rounds=rounds, remaining=left, before=before)
     text = recommended_experiment(found)
     assert text is not None
-    assert text.startswith(f"To distinguish {known['wind'].title} from lift: {known['wind'].experiment}.")
-    assert text.index("--discriminate wind,lift`") < text.index("--discriminate cubic-drag,filter-lag`")
+    rival = known["current-drift"].title
+    assert text.startswith(f"To distinguish {known['wind'].title} from {rival}: {known['wind'].experiment}.")
+    assert f"To distinguish {known['wind'].title} from lift: {known['wind'].experiment}." in text
+    first, second, third = (f"{pair}`" for pair in ("wind,current-drift", "wind,lift", "cubic-drag,filter-lag"))
+    assert text.index(first) < text.index(second) < text.index(third)
+    assert competitors_of(found, doubted) == ["current-drift", "lift"]
     # No mission distinguishes an effect from a curve, or from a special case of it.
-    assert competitor_of(found, replace(doubted, competitor="X(u)")) == "current-drift"
-    assert competitor_of(found, replace(doubted, competitor="mooring")) == "current-drift"  # not fitted
+    assert competitors_of(found, replace(doubted, competitor="X(u)")) == ["current-drift"]
+    assert competitors_of(found, replace(doubted, competitor="mooring")) == ["current-drift"]  # not fitted
+
+
+@pytest.mark.parametrize(
+    ("behind", "named", "promised"),
+    [
+        (2.56, "", ""),  # 60 / 2.56 times nine minutes are 3.5 hours
+        (2.56, "wind", " may decide this. "),
+        (2.56, "X(u)", ""),
+        (30.0, "", " may decide this."),
+        (30.0, "X(u)", "distinguishes it from propeller walk, which the data do not exclude either."),
+    ],
+)
+def test_a_mission_is_not_promised_to_decide_what_the_data_hardly_decide(
+    behind: float, named: str, promised: str
+) -> None:
+    """Nine minutes of data: the design of the recommended mission found that an hour of missions is not enough."""
+    angle, walk = catalogue()["thrust-angle"], catalogue()["propeller-walk"]
+    refits = [SimpleNamespace(effect=angle, gain=244.5), SimpleNamespace(effect=walk, gain=244.5 - behind)]
+    doubted = EffectAttribution("thrust-angle", "ambiguous", ("they are alike",), ("propeller-walk",), named)
+    records = [SimpleNamespace(duration=300.0), SimpleNamespace(duration=240.0)]
+    found = of(
+        effects=(refits[0],), attributions=[doubted], rounds=[SimpleNamespace(chosen=refits[0], refits=refits)],
+        remaining=[blank_score("wind")], before=SimpleNamespace(model=horizontal_model(), records=records),
+        untried_scores=(),
+    )  # fmt: skip
+    text, caveat = recommended_experiment(found), diagnosis_caveat(found)
+    assert text is not None
+    assert caveat is not None
+    begin = f"To distinguish {angle.title} from propeller walk:"
+    command = "`seatrial mission design MODEL --discriminate thrust-angle,propeller-walk`"
+    assert promised in caveat
+    if behind < 10.0:
+        assert text.startswith(
+            f"{begin} look for {angle.causes}; or {walk.causes}. Both explain these 540 s of data nearly equally well "
+            "(2 ln L differs by 2.6), so that a run of the same kind would have to last about 4 hours. They differ "
+            f"most in these tests: {angle.experiment}; or {walk.experiment}. {command} only checks whether another "
+        )
+        assert "unlikely to distinguish it from propeller walk within an hour" in caveat
+        assert bool(promised) == ("decide" in caveat)
+    else:
+        assert text.startswith(f"{begin} {angle.experiment}. {command} generates the mission; ")
+        assert "unlikely" not in caveat
+    assert ("--discriminate thrust-angle,wind`" in text) == (named == "wind")
 
 
 def of(**changed: Any) -> Diagnosis:

@@ -15,12 +15,15 @@ from rich.console import Console
 import seatrial as st
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.cli.commands import ident
-from seatrial.ident.data.loading import load_run
+from seatrial.ident.data.loading import LoadedLog, load_all, load_run
+from seatrial.ident.diagnosis import search
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.model.outlier_density import robust_sensors
+from seatrial.ident.model.structure import Effect
 from seatrial.ident.report.terminal import print_result
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.results.commands import ONLY_CHOSEN
+from seatrial.ident.workflows import diagnose as workflow
 from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 from tests.missions import boat_log, boat_with, rig_of
@@ -138,6 +141,58 @@ def test_effects_have_the_position_of_the_thrusters_of_the_log(saved: bool, logs
     assert found.parameter("x_delta").meaning.endswith(" (prior: x_thrusters)")
     of_rig = vehicle_problem(request, [replace(load_run(logs[0], "one"), rig=rig_of("boat"), vehicle={})], []).model
     assert of_rig.parameter("x_delta").meaning.endswith(" (prior: position_m of the thrusters in the rig file)")
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")  # signals that the model does not use
+def test_a_search_has_the_position_of_the_thrusters_of_the_log(
+    logs: tuple[Path, Path], out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """model.toml has no prior of an effect that it lacks: the command and `st.diagnose` take it from the log."""
+
+    class Stopped(Exception):
+        pass
+
+    found: list[Effect] = []
+
+    def stop(_records: Any, _data: Any, candidates: dict[str, Effect], *_: Any) -> None:
+        found.append(candidates["thrust-angle"])
+        raise Stopped
+
+    def load_with_position(*arguments: Any) -> tuple[list[LoadedLog], list[LoadedLog]]:
+        loaded, others = load_all(*arguments)
+        return [replace(log, vehicle={"x_thrusters": -0.9, "x_thrusters_sd": 0.03}) for log in loaded], others
+
+    monkeypatch.setattr(workflow, "load_all", load_with_position)
+    monkeypatch.setattr(search, "_Search", stop)
+    words = ["diagnose", str(out / "model.toml"), str(logs[0]), "--out", str(logs[0].parent / "searched")]
+    with pytest.raises(Stopped):
+        CliRunner().invoke(ident, words, catch_exceptions=False)
+    with pytest.raises(Stopped):
+        st.diagnose(out / "model.toml", logs[0])
+    for effect in found:
+        (position,) = (p for p in effect.parameters if p.name == "x_delta")
+        assert (position.prior, effect.scan["x_delta"]) == ((-0.9, 0.03), (-0.9,))
+        assert position.meaning.endswith(" (prior: x_thrusters)")
+    assert len(found) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        (
+            "x_delta=-0.45",
+            "give x_thrusters and x_thrusters_sd in [geometry] of the import map, or in [vehicle] of the",
+        ),
+        ("delta_L=0.02", "fit it with `seatrial ident vehicle --effect thrust-angle --fix delta_L=0.02`, and diagnose"),
+    ],
+)
+def test_a_parameter_of_a_missing_effect_cannot_be_held_in_a_search(
+    name: str, advice: str, logs: tuple[Path, Path], out: Path
+) -> None:
+    done = CliRunner().invoke(ident, ["diagnose", str(out / "model.toml"), str(logs[0]), "--fix", name])
+    assert isinstance(done.exception, SeatrialError)
+    assert advice in str(done.exception)
+    assert "--no-score-tests" not in str(done.exception)
 
 
 @pytest.mark.study
