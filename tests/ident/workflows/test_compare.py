@@ -42,7 +42,7 @@ from seatrial.ident.report.formatting import with_error
 from seatrial.ident.report.page import render
 from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, overlay_panels
 from seatrial.ident.report.terminal import compared_tables
-from seatrial.ident.results import ComparisonResult, CourseStability, LogScore
+from seatrial.ident.results import ComparisonResult, CourseStability, LogScore, VehicleResult
 from seatrial.ident.results.parts import CommonErrorsRow
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.validation import prediction_errors
@@ -1096,7 +1096,8 @@ def test_selected_effects_are_those_of_a_diagnosis_and_the_common_errors() -> No
     found = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), common_errors=common)
     assert found.effects
     assert selected_effects(found) == [*(e.name for e in found.effects), "lift"]
-    fitted = loaded(KINDS["vehicle"]())
+    bench = KINDS["thruster"]()
+    fitted = loaded({n: bench[n] for n in bench if n in VehicleResult.__struct_fields__} | {"kind": "vehicle"})
     assert selected_effects(msgspec.structs.replace(fitted, common_errors=common)) == ["lift"]
     assert selected_effects(msgspec.structs.replace(fitted, common_errors=None)) == []
 
