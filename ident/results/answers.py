@@ -1621,8 +1621,8 @@ def course_sentence(course: CourseStability | None, model: Model | None = None, 
 
     The sentence says how the speed is chosen: as a part of the highest speed ahead in the logs.
 
-    If there is one estimation log (``logs``; 0: unknown), or if the pole is less than three standard errors from zero, a
-    further sentence says so, and what to record.
+    If there is one estimation log (``logs``; 0: unknown), or if the pole is less than three standard errors from zero,
+    a further sentence says so, and what to record.
 
     If the interval of the pole contains zero, the sentence says that the data do not show the stability, in the words
     of `seatrial.ident.numerics.stability_of`. If the estimated damping of sway is negative, there is no statement on

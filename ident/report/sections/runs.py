@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from seatrial.ident.numerics import Array
+from seatrial.ident.numerics import UNSTABLE, Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import (
@@ -28,12 +29,15 @@ from seatrial.ident.report.record_tabs import (
     run_tabs,
 )
 from seatrial.ident.results import (
+    DiagnosisResult,
+    Dynamics,
     ErrorComparison,
     ErrorTable,
     FitResult,
     InputTrace,
     LogSummary,
     Trace,
+    VehicleResult,
     disturbance_reason,
 )
 
@@ -287,6 +291,10 @@ REASONS = {
     "vx": "an error of the heading turns the velocity over ground",
     "vy": "an error of the heading turns the velocity over ground",
 }
+CHANCE = (
+    "the model is directionally unstable at the speed there, so that the motion depends on chance, as the side to "
+    "which the boat turns"
+)
 SETTLING = 5.0  # s from the start of a simulation, in which a wide interval is not told
 WIDE = 0.5  # an interval is wide if half of its width exceeds this part of the range of the measured values
 USELESS = 5.0  # an interval is useless if its width exceeds so many ranges of the measured values, or a full turn
@@ -300,9 +308,12 @@ def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | No
     ``result`` has the evidence of a missing effect.
     """
     forces = disturbance_reason(result)
+    speeds = _measured_speeds(result)
+    slowest = unstable_from(result.dynamics if isinstance(result, (VehicleResult, DiagnosisResult)) else None, horizon)
     by_reason: dict[str, list[str]] = {}
     for row, t, sd in found:
-        if (wide := wide_band(row, t, sd, horizon, forces)) is not None:
+        chance = partial(_depends_on_chance, speeds.get(row.record), slowest, horizon)
+        if (wide := wide_band(row, t, sd, horizon, forces, chance)) is not None:
             block = log_of_block(row.record, (x.name for x in result.logs)) is not None
             of = f" of the block from {row.t[0]:.0f} to {row.t[-1]:.0f} s" if block else ""
             by_reason.setdefault(wide[1], []).append(wide[0] + of)
@@ -310,7 +321,68 @@ def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | No
     return [Lines(lines, "quiet")] if lines else []
 
 
-def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None, forces: str) -> tuple[str, str] | None:
+def unstable_from(dynamics: Dynamics | None, horizon: float | None) -> float | None:
+    """Return the lowest speed [m/s] at which a model is directionally unstable; None if it is at none, or not surely.
+
+    Parameters
+    ----------
+    dynamics
+        Linear models of the fit at several speeds, with the stability of a straight course.
+    horizon
+        Prediction horizon [s]. The model counts as stable if a deviation grows by less than a factor of e within it.
+        None: a simulation, which lasts long enough for any growth.
+    """
+    if dynamics is None or dynamics.course is None or dynamics.course.stability != UNSTABLE:
+        return None
+    least = 0.0 if horizon is None else 1.0 / horizon
+    grows = {dynamics.course.speed: dynamics.course.pole} | {
+        point.speed: float(np.max(point.real)) for point in dynamics.points if point.real.size
+    }
+    return min((speed for speed, pole in grows.items() if speed > 0.0 and pole > least), default=None)
+
+
+def _measured_speeds(result: FitResult) -> dict[str, tuple[Array, Array]]:
+    """Return times [s] and speeds [m/s] measured in each record that has them, by the name of the record."""
+    by = {(row.record, row.channel): row for row in result.traces}
+    found = {record: (row.t, np.abs(row.measured)) for (record, channel), row in by.items() if channel == "u"}
+    for (record, channel), row in by.items():
+        east = by.get((record, "vy"))
+        if channel == "vx" and east is not None and east.t.size == row.t.size:
+            found[record] = (row.t, np.hypot(row.measured, east.measured))
+    return found
+
+
+def _depends_on_chance(
+    measured: tuple[Array, Array] | None, slowest: float | None, horizon: float | None, at: float
+) -> bool:
+    """Return whether a boat was as fast before the time ``at`` [s] that its model is directionally unstable.
+
+    Parameters
+    ----------
+    measured
+        Times [s] and measured speeds [m/s] of the record; None: unknown, so that nothing is said.
+    slowest
+        Lowest speed [m/s] at which the model is unstable; None: it is at none.
+    horizon
+        Prediction horizon [s], over which the speed is averaged. None: a simulation, from the start of the record.
+    at
+        Time [s].
+    """
+    if measured is None or slowest is None:
+        return False
+    t, speed = measured
+    inside = speed[(t <= at) & (t >= (-np.inf if horizon is None else at - horizon)) & np.isfinite(speed)]
+    return bool(inside.size and inside.mean() >= slowest)
+
+
+def wide_band(
+    row: Trace,
+    t: Array,
+    sd: Array,
+    horizon: float | None,
+    forces: str,
+    chance: Callable[[float], bool] = lambda _: False,
+) -> tuple[str, str] | None:
     """Return where and why the 95 % interval of a channel is wide, as two texts; None if it is nowhere wide.
 
     The width of an interval that is wider than five ranges of the measured values, or than a full turn of an angle, is
@@ -327,6 +399,9 @@ def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None, forces: st
         Prediction horizon [s]; None for a simulation.
     forces
         Reason for a channel that is no integral of another one: the text of `disturbance_reason`.
+    chance
+        Function that returns whether the motion depends on chance, given the time [s] at which the interval is widest,
+        because the boat is directionally unstable. The reason then begins with it.
 
     Notes
     -----
@@ -345,7 +420,7 @@ def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None, forces: st
     spread = 2.0 * np.pi if row.angle else float(np.ptp(row.measured[seen]))
     if not half[k] > WIDE * spread:
         return None
-    why = REASONS.get(row.channel, forces)
+    why = REASONS.get(row.channel) or (f"{CHANCE}. Besides, {forces}" if chance(float(t[k])) else forces)
     if horizon is not None:
         samples, start = row.t[seen], t[k] - horizon
         before = samples[samples <= start]

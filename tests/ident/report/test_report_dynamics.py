@@ -14,7 +14,7 @@ from seatrial.ident.report import page
 from seatrial.ident.report.blocks import Budget, Canvas
 from seatrial.ident.report.bode import phase_axis
 from seatrial.ident.report.sections.dynamics import section
-from seatrial.ident.report.sections.runs import wide_band
+from seatrial.ident.report.sections.runs import _wide_bands, unstable_from, wide_band
 from seatrial.ident.results import (
     CourseStability,
     DiagnosisResult,
@@ -290,6 +290,43 @@ def test_wide_interval_has_a_place_and_a_reason() -> None:
     assert why == "the channel has no samples from 40 to 52 s"
     _, why = wide_band(trace(channel="u"), row.t, row.sd, None, FORCES) or ("", "")
     assert why == FORCES
+
+
+def test_a_wide_interval_of_an_unstable_boat_says_that_its_motion_depends_on_chance() -> None:
+    """It names the missing effect as well, and says nothing of chance while the boat is slow or the model stable."""
+    t = np.arange(0.0, 100.0, 0.5)
+    fast = {"channel": "u", "measured": np.where(t < 50.0, 0.1, 0.9) + 0.01 * np.sin(t)}
+    sd = np.where((t == 30.0) | (t == 80.0), 9.0, 0.1)
+    course = CourseStability(speed=0.8, pole=0.6, low=0.4, high=0.8)
+    result = loaded(KINDS["diagnosis"]())
+
+    def reasons(course: CourseStability, at: float) -> str:
+        rows = [trace(**fast), trace(channel="r", unit="rad/s", sd_horizon=np.where(t == at, sd, 0.1))]
+        made = msgspec.structs.replace(result, traces=tuple(rows), dynamics=Dynamics(course=course))
+        (block,) = _wide_bands([(rows[1], t, rows[1].sd_horizon)], 10.0, made)
+        return str(block)
+
+    begin = "the model is directionally unstable at the speed there, so that the motion depends on chance"
+    assert begin in reasons(course, 80.0)
+    assert "Besides, " in reasons(course, 80.0)
+    assert begin not in reasons(course, 30.0)
+    for other in ({"low": -0.1}, {"pole": 0.05, "low": 0.01, "high": 0.09}, {"pole": -0.6, "low": -0.8, "high": -0.4}):
+        assert begin not in reasons(msgspec.structs.replace(course, **other), 80.0)
+
+
+def test_unstable_speeds_begin_at_the_slowest_unstable_linear_model() -> None:
+    course = CourseStability(speed=0.8, pole=0.6, low=0.4, high=0.8)
+    point = {"inputs": {}, "imaginary": np.zeros(2), "stable": False}
+    points = tuple(
+        OperatingPoint(speed=speed, real=np.array([pole, -1.0]), **point)
+        for speed, pole in ((0.2, -0.1), (0.4, 0.3), (1.2, 0.9))
+    )
+    assert unstable_from(Dynamics(course=course, points=points), 10.0) == 0.4
+    assert unstable_from(Dynamics(course=course, points=points), 2.0) == 0.8
+    assert unstable_from(Dynamics(points=points), 10.0) is None
+    assert unstable_from(None, 10.0) is None
+    slow = msgspec.structs.replace(course, low=-0.1)
+    assert unstable_from(Dynamics(course=slow, points=points), 10.0) is None
 
 
 def test_a_wide_interval_names_a_missing_effect_that_is_known_before_the_disturbances() -> None:
