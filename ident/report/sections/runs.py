@@ -297,6 +297,8 @@ CHANCE = (
 )
 SETTLING = 5.0  # s from the start of a simulation, in which a wide interval is not told
 WIDE = 0.5  # an interval is wide if half of its width exceeds this part of the range of the measured values
+# Neighbouring predictions of a position are not joined if they are farther apart than so many times nine tenths of all
+FAR_APART = 4.0
 USELESS = 5.0  # an interval is useless if its width exceeds so many ranges of the measured values, or a full turn
 GAP = 5.0  # a gap is longer than this many median intervals of the samples
 
@@ -450,9 +452,9 @@ def _predicted_track(canvas: Canvas, result: FitResult, rows: Sequence[Trace], t
     origin, limit = origin_words(result.logs, tab.name), canvas.budget.points // max(len(pairs), 1)
     traces, predicted = [], []
     for x, y in pairs:
-        traces += _path_traces("measured", x.measured, y.measured, limit)
-        traces += _path_traces("before", x.horizon_before, y.horizon_before, limit)
-        predicted += _path_traces("model", x.horizon, y.horizon, limit)
+        traces += _path_traces("measured", x.t, x.measured, y.measured, limit)
+        traces += _path_traces("before", x.t_horizon, x.horizon_before, y.horizon_before, limit)
+        predicted += _path_traces("model", x.t_horizon, x.horizon, y.horizon, limit)
     if not predicted:
         return []
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
@@ -577,7 +579,7 @@ def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any
     for style in ("measured", "before", "model"):
         for row in rows:
             x, y = getattr(row, f"x_{style}"), getattr(row, f"y_{style}")
-            traces += _path_traces(style, x, y, canvas.budget.points // len(rows))
+            traces += _path_traces(style, None, x, y, canvas.budget.points // len(rows))
     if not traces:
         return []
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
@@ -585,11 +587,16 @@ def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any
     return [Grid([canvas.plot(figure, 420, f"Track, {tab.title}", "Track, north up")], 320, "narrow")]
 
 
-def _path_traces(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:
+def _path_traces(
+    style: str, t: Array | None, north: Array | None, east: Array | None, limit: int
+) -> list[drawing.Trace]:
     """Return the trace of a track of at most ``limit`` points, and the trace of a marker at its start.
 
     ``style`` determines name, colour and width: ``measured``, ``before`` (model before effects were added) or
-    ``model``. The list is empty if ``north`` or ``east`` [m] is None, or without finite positions.
+    ``model``. The list is empty if ``north`` or ``east`` [m] is None, or without finite positions. With the times ``t``
+    [s] of the positions, the line has a gap where positions are missing. The line of a model then also has one where
+    neighbouring predictions are far apart: they start from different states, and the boat has not moved between them.
+    Without ``t`` the line has no gaps.
     """
     if north is None or east is None:
         return []
@@ -602,7 +609,13 @@ def _path_traces(style: str, north: Array | None, east: Array | None, limit: int
         "before": {"color": drawing.BEFORE, "width": 1.6, "dash": "dash"},
         "model": {"color": drawing.MODEL, "width": 1.8},
     }[style]
-    coordinates = {"x": drawing.packed(east[at]), "y": drawing.packed(north[at])}
+    after = np.zeros(0, int)
+    if t is not None and at.size > 2:
+        interval, steps = np.diff(t[at]), np.hypot(np.diff(east[at]), np.diff(north[at]))
+        far = steps > FAR_APART * np.quantile(steps, 0.9) if style != "measured" else np.zeros(steps.size, bool)
+        after = np.flatnonzero(far | (interval > GAP * np.median(interval))) + 1
+    coordinates = {"x": drawing.packed(np.insert(east[at], after, np.nan))}
+    coordinates["y"] = drawing.packed(np.insert(north[at], after, np.nan))
     start = {"type": "scatter", "mode": "markers", "x": [float(east[at[0]])], "y": [float(north[at[0]])]}
     marker = {"symbol": "circle-open", "size": 9, "color": line["color"], "line": {"width": 2}}
     path = {"type": "scatter", "mode": "lines", "name": style, **coordinates, "line": line}

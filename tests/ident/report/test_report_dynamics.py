@@ -14,7 +14,7 @@ from seatrial.ident.report import page
 from seatrial.ident.report.blocks import Budget, Canvas
 from seatrial.ident.report.bode import phase_axis
 from seatrial.ident.report.sections.dynamics import section
-from seatrial.ident.report.sections.runs import _wide_bands, unstable_from, wide_band
+from seatrial.ident.report.sections.runs import _path_traces, _wide_bands, unstable_from, wide_band
 from seatrial.ident.results import (
     CourseStability,
     DiagnosisResult,
@@ -433,3 +433,19 @@ def test_poles_of_a_boat_in_wind_name_their_heading() -> None:
     assert "of the model linearised at each speed, on heading 90 deg" in words
     assert "From 1 m/s on (on heading 90 deg), the boat does not hold a straight course" in words
     assert "Another heading has other poles" in words
+
+
+def test_predictions_that_are_far_apart_are_not_joined_in_the_track() -> None:
+    """Neighbouring predictions of an unstable boat start from different states. Its measured track has no such gaps."""
+    t = np.arange(0.0, 80.0, 0.4)
+    north, east = 0.3 * t, np.where((t > 20.0) & (t < 24.0), 6.0, 0.0)
+    seen = (t < 50.0) | (t > 60.0)
+    model, _ = _path_traces("model", t[seen], north[seen], east[seen], 1000)
+    y = np.array(numbers(model["y"]), float)
+    before = [0.3 * t[np.flatnonzero(t > at)[0] - 1] for at in (20.0, 24.0 - 1e-9, 50.0 - 1e-9)]
+    np.testing.assert_allclose(y[np.flatnonzero(np.isnan(y)) - 1], before, rtol=1e-5)
+    assert np.array_equal(np.isnan(y), np.isnan(np.array(numbers(model["x"]), float)))
+    measured, _ = _path_traces("measured", t[seen], north[seen], east[seen], 1000)
+    assert np.isnan(np.array(numbers(measured["y"]), float)).sum() == 1
+    simulated, _ = _path_traces("model", None, north, east, 1000)
+    assert np.isfinite(np.array(numbers(simulated["y"]), float)).all()
