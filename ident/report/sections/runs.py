@@ -292,13 +292,13 @@ REASONS = {
     "vy": "an error of the heading turns the velocity over ground",
 }
 CHANCE = (
-    "the model is directionally unstable at the speed there, so that the motion depends on chance, as the side to "
+    "the model is directionally unstable at the speeds there, so that the motion depends on chance, as the side to "
     "which the boat turns"
 )
 SETTLING = 5.0  # s from the start of a simulation, in which a wide interval is not told
 WIDE = 0.5  # an interval is wide if half of its width exceeds this part of the range of the measured values
-# Neighbouring predictions of a position are not joined if they are farther apart than so many times nine tenths of all
-FAR_APART = 4.0
+# Times three quarters of all distances between neighbouring predictions of a position, beyond which two are not joined
+FAR_APART = 3.0
 USELESS = 5.0  # an interval is useless if its width exceeds so many ranges of the measured values, or a full turn
 GAP = 5.0  # a gap is longer than this many median intervals of the samples
 
@@ -310,11 +310,11 @@ def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | No
     ``result`` has the evidence of a missing effect.
     """
     forces = disturbance_reason(result)
-    speeds = _measured_speeds(result)
-    slowest = unstable_from(result.dynamics if isinstance(result, (VehicleResult, DiagnosisResult)) else None, horizon)
+    dynamics = result.dynamics if isinstance(result, (VehicleResult, DiagnosisResult)) else None
+    speeds, rates = _forward_speeds(result), growth_over_speed(dynamics)
     by_reason: dict[str, list[str]] = {}
     for row, t, sd in found:
-        chance = partial(_depends_on_chance, speeds.get(row.record), slowest, horizon)
+        chance = partial(_depends_on_chance, speeds.get(row.record), rates, horizon)
         if (wide := wide_band(row, t, sd, horizon, forces, chance)) is not None:
             block = log_of_block(row.record, (x.name for x in result.logs)) is not None
             of = f" of the block from {row.t[0]:.0f} to {row.t[-1]:.0f} s" if block else ""
@@ -323,58 +323,60 @@ def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | No
     return [Lines(lines, "quiet")] if lines else []
 
 
-def unstable_from(dynamics: Dynamics | None, horizon: float | None) -> float | None:
-    """Return the lowest speed [m/s] at which a model is directionally unstable; None if it is at none, or not surely.
+def growth_over_speed(dynamics: Dynamics | None) -> tuple[Array, Array] | None:
+    """Return forward speeds [m/s] and the growth rates [1/s] of the least stable motion there, both (n,), ascending.
 
-    Parameters
-    ----------
-    dynamics
-        Linear models of the fit at several speeds, with the stability of a straight course.
-    horizon
-        Prediction horizon [s]. The model counts as stable if a deviation grows by less than a factor of e within it.
-        None: a simulation, which lasts long enough for any growth.
+    At rest the rate is zero, and so is that of a stable motion. The result is None if the fit does not show that the
+    boat is directionally unstable.
     """
     if dynamics is None or dynamics.course is None or dynamics.course.stability != UNSTABLE:
         return None
-    least = 0.0 if horizon is None else 1.0 / horizon
-    grows = {dynamics.course.speed: dynamics.course.pole} | {
-        point.speed: float(np.max(point.real)) for point in dynamics.points if point.real.size
-    }
-    return min((speed for speed, pole in grows.items() if speed > 0.0 and pole > least), default=None)
+    rates = {0.0: 0.0, dynamics.course.speed: dynamics.course.pole}
+    rates |= {p.speed: float(np.max(p.real)) for p in dynamics.points if p.real.size and p.speed > 0.0}
+    speeds = np.array(sorted(rates))
+    return speeds, np.maximum([rates[speed] for speed in speeds.tolist()], 0.0)
 
 
-def _measured_speeds(result: FitResult) -> dict[str, tuple[Array, Array]]:
-    """Return times [s] and speeds [m/s] measured in each record that has them, by the name of the record."""
+def _forward_speeds(result: FitResult) -> dict[str, tuple[Array, Array]]:
+    """Return times [s] and measured forward speeds [m/s] of each record that has them, by the name of the record.
+
+    The speed is that of the channel ``u``, or else the velocity over ground along the heading.
+    """
     by = {(row.record, row.channel): row for row in result.traces}
-    found = {record: (row.t, np.abs(row.measured)) for (record, channel), row in by.items() if channel == "u"}
-    for (record, channel), row in by.items():
-        east = by.get((record, "vy"))
-        if channel == "vx" and east is not None and east.t.size == row.t.size:
-            found[record] = (row.t, np.hypot(row.measured, east.measured))
+    found = {record: (row.t, row.measured) for (record, channel), row in by.items() if channel == "u"}
+    for record in {name for name, channel in by if channel == "vx"} - set(found):
+        rows = [by.get((record, name)) for name in ("vx", "vy", "psi")]
+        seen = [(x.t[k], x.measured[k]) for x in rows if x is not None and (k := np.isfinite(x.measured)).any()]
+        if len(seen) == len(rows):
+            (t, north), east, heading = seen
+            psi = np.interp(t, heading[0], np.unwrap(heading[1]))
+            found[record] = (t, north * np.cos(psi) + np.interp(t, *east) * np.sin(psi))
     return found
 
 
 def _depends_on_chance(
-    measured: tuple[Array, Array] | None, slowest: float | None, horizon: float | None, at: float
+    measured: tuple[Array, Array] | None, rates: tuple[Array, Array] | None, horizon: float | None, at: float
 ) -> bool:
-    """Return whether a boat was as fast before the time ``at`` [s] that its model is directionally unstable.
+    """Return whether a deviation grows by a factor of e or more at the measured speeds before the time ``at`` [s].
 
     Parameters
     ----------
     measured
-        Times [s] and measured speeds [m/s] of the record; None: unknown, so that nothing is said.
-    slowest
-        Lowest speed [m/s] at which the model is unstable; None: it is at none.
+        Times [s] and measured forward speeds [m/s] of the record; None: unknown, so that nothing is said.
+    rates
+        Growth rates of the model over the speed (`growth_over_speed`); None: the model is not unstable.
     horizon
-        Prediction horizon [s], over which the speed is averaged. None: a simulation, from the start of the record.
+        Prediction horizon [s]. None: a simulation, from the start of the record.
     at
         Time [s].
     """
-    if measured is None or slowest is None:
+    if measured is None or rates is None:
         return False
     t, speed = measured
-    inside = speed[(t <= at) & (t >= (-np.inf if horizon is None else at - horizon)) & np.isfinite(speed)]
-    return bool(inside.size and inside.mean() >= slowest)
+    inside = (t <= at) & (t >= (-np.inf if horizon is None else at - horizon)) & np.isfinite(speed)
+    if inside.sum() < 2:
+        return False
+    return bool(np.trapezoid(np.interp(speed[inside], *rates), t[inside]) >= 1.0)
 
 
 def wide_band(
@@ -612,7 +614,7 @@ def _path_traces(
     after = np.zeros(0, int)
     if t is not None and at.size > 2:
         interval, steps = np.diff(t[at]), np.hypot(np.diff(east[at]), np.diff(north[at]))
-        far = steps > FAR_APART * np.quantile(steps, 0.9) if style != "measured" else np.zeros(steps.size, bool)
+        far = steps > FAR_APART * np.quantile(steps, 0.75) if style != "measured" else np.zeros(steps.size, bool)
         after = np.flatnonzero(far | (interval > GAP * np.median(interval))) + 1
     coordinates = {"x": drawing.packed(np.insert(east[at], after, np.nan))}
     coordinates["y"] = drawing.packed(np.insert(north[at], after, np.nan))

@@ -14,7 +14,7 @@ from seatrial.ident.report import page
 from seatrial.ident.report.blocks import Budget, Canvas
 from seatrial.ident.report.bode import phase_axis
 from seatrial.ident.report.sections.dynamics import section
-from seatrial.ident.report.sections.runs import _path_traces, _wide_bands, unstable_from, wide_band
+from seatrial.ident.report.sections.runs import _forward_speeds, _path_traces, _wide_bands, growth_over_speed, wide_band
 from seatrial.ident.results import (
     CourseStability,
     DiagnosisResult,
@@ -293,9 +293,9 @@ def test_wide_interval_has_a_place_and_a_reason() -> None:
 
 
 def test_a_wide_interval_of_an_unstable_boat_says_that_its_motion_depends_on_chance() -> None:
-    """It names the missing effect as well, and says nothing of chance while the boat is slow or the model stable."""
+    """It names the missing effect as well. Of a stable model, and of a boat that goes astern, it is the only reason."""
     t = np.arange(0.0, 100.0, 0.5)
-    fast = {"channel": "u", "measured": np.where(t < 50.0, 0.1, 0.9) + 0.01 * np.sin(t)}
+    fast = {"channel": "u", "measured": np.where(t < 50.0, -0.9, 0.9) + 0.01 * np.sin(t)}
     sd = np.where((t == 30.0) | (t == 80.0), 9.0, 0.1)
     course = CourseStability(speed=0.8, pole=0.6, low=0.4, high=0.8)
     result = loaded(KINDS["diagnosis"]())
@@ -306,7 +306,7 @@ def test_a_wide_interval_of_an_unstable_boat_says_that_its_motion_depends_on_cha
         (block,) = _wide_bands([(rows[1], t, rows[1].sd_horizon)], 10.0, made)
         return str(block)
 
-    begin = "the model is directionally unstable at the speed there, so that the motion depends on chance"
+    begin = "the model is directionally unstable at the speeds there, so that the motion depends on chance"
     assert begin in reasons(course, 80.0)
     assert "Besides, " in reasons(course, 80.0)
     assert begin not in reasons(course, 30.0)
@@ -314,19 +314,33 @@ def test_a_wide_interval_of_an_unstable_boat_says_that_its_motion_depends_on_cha
         assert begin not in reasons(msgspec.structs.replace(course, **other), 80.0)
 
 
-def test_unstable_speeds_begin_at_the_slowest_unstable_linear_model() -> None:
+def test_growth_over_the_speed_is_that_of_the_unstable_linear_models() -> None:
+    """It is zero at rest and where the model is stable, and unknown unless the data show that the boat is unstable."""
     course = CourseStability(speed=0.8, pole=0.6, low=0.4, high=0.8)
     point = {"inputs": {}, "imaginary": np.zeros(2), "stable": False}
     points = tuple(
         OperatingPoint(speed=speed, real=np.array([pole, -1.0]), **point)
         for speed, pole in ((0.2, -0.1), (0.4, 0.3), (1.2, 0.9))
     )
-    assert unstable_from(Dynamics(course=course, points=points), 10.0) == 0.4
-    assert unstable_from(Dynamics(course=course, points=points), 2.0) == 0.8
-    assert unstable_from(Dynamics(points=points), 10.0) is None
-    assert unstable_from(None, 10.0) is None
-    slow = msgspec.structs.replace(course, low=-0.1)
-    assert unstable_from(Dynamics(course=slow, points=points), 10.0) is None
+    speeds, rates = growth_over_speed(Dynamics(course=course, points=points)) or ([], [])
+    np.testing.assert_allclose(speeds, [0.0, 0.2, 0.4, 0.8, 1.2])
+    np.testing.assert_allclose(rates, [0.0, 0.0, 0.3, 0.6, 0.9])
+    assert growth_over_speed(Dynamics(points=points)) is None
+    assert growth_over_speed(None) is None
+    unknown = msgspec.structs.replace(course, low=-0.1)
+    assert growth_over_speed(Dynamics(course=unknown, points=points)) is None
+
+
+def test_the_forward_speed_is_that_along_the_heading() -> None:
+    heading = np.linspace(3.0, 9.0, 200)
+    rows = [
+        trace(channel="vx", measured=-0.7 * np.cos(heading)),
+        trace(channel="vy", measured=-0.7 * np.sin(heading)),
+        trace(channel="psi", measured=np.where(np.arange(200) % 2, np.nan, np.angle(np.exp(1j * heading)))),
+    ]
+    made = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), traces=tuple(rows))
+    np.testing.assert_allclose(_forward_speeds(made)["a"][1], -0.7, rtol=1e-3)
+    assert _forward_speeds(msgspec.structs.replace(made, traces=tuple(rows[:2]))) == {}
 
 
 def test_a_wide_interval_names_a_missing_effect_that_is_known_before_the_disturbances() -> None:
