@@ -952,8 +952,8 @@ def _possible_difference(found: ModelUncertainty, whole: str, *, diagnosed: bool
     others = [n for n in found.thrust_rivals if not (n in known and known[n].thrust_difference)]
     first = found.thrust_rivals[0]
     less = f"the {weaker} thruster would give less than the {stronger} one, " if found.weaker_side else ""
-    text = "The model lacks a force or moment that acts like a difference of the thrusts "
-    text += f"({less}by {whole} of their mean)."
+    by = f"{less}by {whole} of their mean"
+    text = f"The model lacks a force or moment that acts like a difference of the thrusts ({by})."
     if others:
         names = listed([f"{candidate_title(n)} ({n})" for n in others[:RIVALS_NAMED]], "and")
         rest = len(others) - RIVALS_NAMED

@@ -189,12 +189,12 @@ def test_choice_between_two_antennas_is_reported() -> None:
         (
             "horizontal:shaft",
             "toe-in",
-            "--effect toe-in: there is no such effect; did you mean thrust-angle (thrusters that do not push straight",
+            "--effect toe-in: there is no such effect; did you mean thrust-angle (thrusters that do not push",
         ),
         (
             "horizontal:shaft",
             "parallel",
-            "--effect parallel: there is no such effect; did you mean thrust-angle (thrusters that do not push straight",
+            "--effect parallel: there is no such effect; did you mean thrust-angle (thrusters that do not push",
         ),
         ("surge", "mount", "--effect mount: model surge has no place for this effect; it can have none"),
         (
