@@ -9,6 +9,7 @@ and checks of ident for `seatrial check` (`MotionChecksOfIdent`).
 
 from __future__ import annotations
 
+import re
 import sys
 
 try:
@@ -192,6 +193,28 @@ class LazyGroup(click.Group):
         group = ctx.command_path.rpartition(" ")[0]
         return sorted(found, key=lambda path: path.rpartition(" ")[0] != group)
 
+    def with_choice(self, ctx: click.Context, option: str, value: str) -> list[str]:
+        """Return the paths of the commands of the same name that have a value among the choices of an option.
+
+        All commands are imported.
+
+        Parameters
+        ----------
+        ctx
+            Context of the command, such as that of `seatrial export`. `seatrial ident export` has the same name.
+        option, value
+            The option and its value as the user wrote them, such as ``--to`` and ``fmu``.
+        """
+        name = ctx.command_path.rpartition(" ")[2]
+        return [
+            path
+            for group in COMMANDS
+            for path, command in self._commands_of(ctx, group).items()
+            if path.rpartition(" ")[2] == name and path != ctx.command_path
+            for p in command.params
+            if option in p.opts and isinstance(p.type, click.Choice) and value in p.type.choices
+        ]
+
     def invoke(self, ctx: click.Context) -> None:
         """Run the command and discard its return value, since only `ctx.exit(status)` may set the exit status.
 
@@ -340,7 +363,8 @@ def _line_and_status(error: BaseException) -> tuple[str, int]:
 def _usage_line(error: click.UsageError) -> str:
     """Return the line for stderr about a wrong command line: the command, the problem, and the command for its help.
 
-    An unknown option that other commands have comes with their names, in place of options that are spelt similarly.
+    An unknown option that other commands have comes with their names, in place of options that are spelt similarly. So
+    does an invalid value of an option that a command of the same name in another group has.
     Line ends become spaces, and control characters become escape sequences. Nothing is printed here.
     """
     path = "seatrial" if error.ctx is None else error.ctx.command_path
@@ -350,6 +374,9 @@ def _usage_line(error: click.UsageError) -> str:
         if others:
             verb = "has" if len(others) == 1 else "have"
             text = f"No such option {printable(error.option_name)!r}; {first_names(others, 3)} {verb} it"
+    refused = re.match(r"Invalid value for '(--[\w-]+)'[^:]*: '(.*)' is not ", text)
+    if refused and error.ctx is not None and (meant := cli.with_choice(error.ctx, *refused.groups())):
+        text += f"; `{meant[0]} {refused[1]} {refused[2]}` has it"
     return f"{path}: {text}{'' if text.endswith('?') else ';'} `{path} --help` shows how"
 
 

@@ -178,6 +178,15 @@ def test_a_misspelt_command_or_option_names_the_closest_one(capsys, args: tuple[
             "seatrial ident vehicle: No such option '--discriminate'; `seatrial mission design` has it; `seatrial",
         ),
         (("ident", "compare", "--validate", "x"), "seatrial ident compare: No such option '--validate'; `seatrial id"),
+        (
+            ("export", "vehicle", "--to", "fmu"),
+            "seatrial export: Invalid value for '--to': 'fmu' is not a valid float range; `seatrial ident export --to "
+            "fmu` has it; `seatrial export --help` shows how\n",
+        ),
+        (
+            ("export", "vehicle", "--to", "fmx"),
+            "seatrial export: Invalid value for '--to': 'fmx' is not a valid float range; `seatrial export --help`",
+        ),
     ],
 )
 def test_an_option_of_other_commands_names_them(capsys, args: tuple[str, ...], message: str) -> None:

@@ -12,6 +12,7 @@ import os
 import re
 import shlex
 import tomllib
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -264,7 +265,8 @@ def guess_maps(
         for name, top in guess.full.items():
             if name not in known:
                 full[name] = max(top, full.get(name, 0.0))
-    return [_guess_of_run(run, sources, full) for run in runs] if full else found
+    counts = Counter(name for guess in found for name in guess.full)
+    return [_guess_of_run(run, sources, full, counts) for run in runs] if full else found
 
 
 def guess_map(path: Path, dbc: Path | None = None) -> Guess:
@@ -360,11 +362,17 @@ def _read_file(path: Path, dbc: Path | None) -> _ReadFile:
     return _ReadFile(path, kind.name, options, tables)
 
 
-def _guess_of_run(run: RunFiles, sources: _Sources, full: Mapping[str, float] | None = None) -> Guess:
+def _guess_of_run(
+    run: RunFiles,
+    sources: _Sources,
+    full: Mapping[str, float] | None = None,
+    n_files: Mapping[str, int] | None = None,
+) -> Guess:
     """Guess the import map of the files of one run.
 
     ``full`` has the number of the source that becomes 1, by signal, for signals whose scale is guessed from numbers.
-    Other signals, and all signals by default, have their largest number in this run.
+    Other signals, and all signals by default, have their largest number in this run. ``n_files`` is the number of files
+    with each of these signals, which the map names.
     """
     if sources.reader.dbc is not None and not any(source_kind(path).name == "can" for path in run.paths):
         raise SeatrialError(f"{run.source}: is not a CAN log (candump, .asc, .blf); leave out --dbc")
@@ -386,7 +394,7 @@ def _guess_of_run(run: RunFiles, sources: _Sources, full: Mapping[str, float] | 
     silent, measured = list[Candidate](), list[Candidate]()
     for c in candidates:
         (silent if _is_always_zero(c) else measured).append(c)
-    taken, lines = _chosen_signals(measured, clocks, mains, len(sources.runs))
+    taken, lines = _chosen_signals(measured, clocks, mains, n_files or {})
     problem = _missing_for_fit(taken, tables)
     unrecognised = _unrecognised_columns(tables, candidates, clocks)
     empty = [file for file, _ in parts if len(files) > 1 and not _has_signals(file, lines)]
@@ -1295,7 +1303,7 @@ class _SignalLines(NamedTuple):
 
 
 def _chosen_signals(
-    candidates: Sequence[Candidate], clocks: Clocks, mains: Clocks, n_files: int
+    candidates: Sequence[Candidate], clocks: Clocks, mains: Clocks, n_files: Mapping[str, int]
 ) -> tuple[list[MapSignal], _SignalLines]:
     """Choose the signals of a guessed import map. Return them, and the lines of the map.
 
@@ -1305,7 +1313,8 @@ def _chosen_signals(
     table of its file has a column of times), and its thrusters have the same quantity as those of its group that were
     chosen before. A speed without direction is not chosen after u. Commands and shaft speeds are not chosen if the
     source has forces of a left or right thruster, or if the vehicle is no boat. `mains` has the time column in [time]
-    of the map for each table, and `clocks` its own, by the id of the table. `n_files` files of each kind share the map.
+    of the map for each table, and `clocks` its own, by the id of the table. `n_files` is the number of files that
+    share the guessed scale of a signal, by signal; by default it is one.
     """
 
     sides: dict[frozenset[str], set[str]] = {}
@@ -1338,13 +1347,15 @@ def _chosen_signals(
             quantities[candidate.group] = candidate.quantity
         for signal in candidate.signals:
             line = _signal_line(candidate.table, signal, clock, main)
+            remark = _scale_remark(signal, n_files.get(signal.name, 1))
             if free:
                 taken[signal.name] = signal
-                shown = _SignalLine(line, _scale_remark(signal, n_files), _caveat_of(candidate, signal))
+                shown = _SignalLine(
+                    line, _scale_remark(signal, n_files.get(signal.name, 1)), _caveat_of(candidate, signal)
+                )
                 found.chosen.setdefault(id(candidate.table), {})[signal.name] = shown
             else:
-                remark = _scale_remark(signal, n_files).strip("# ")
-                reason = "; ".join(part for part in (remark, candidate.caveat) if part)
+                reason = "; ".join(part for part in (remark.strip("# "), candidate.caveat) if part)
                 found.others.append((id(candidate.table), f"  # {line}," + (f"  # {reason}" if reason else "")))
     return list(taken.values()), found
 

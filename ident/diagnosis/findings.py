@@ -471,6 +471,9 @@ class ModelUncertainty:
     weaker_side
         Side with the smaller thrust, ``left`` or ``right``; empty if there is no difference, or if
         its parts disagree.
+    thrust_rivals
+        Names of the candidates that pass and may be the cause of the difference, the largest criterion first: the
+        effect with the difference of thrust, and its alternatives. It is empty if the fitted model has the difference.
     """
 
     parameters: tuple[str, ...]
@@ -481,6 +484,7 @@ class ModelUncertainty:
     scale_shift: Array
     strongest: str = ""
     weaker_side: str = ""
+    thrust_rivals: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Array:

@@ -94,7 +94,10 @@ def model_uncertainty(
     of_scale = difference * _force_part(parameters, fit)
     strongest = next((s.name for s in passing if s.name not in common), "")
     weaker = _weaker_side(parts) if difference else ""
-    return ModelUncertainty(parameters, tuple(names), shifted, of_common, difference, of_scale, strongest, weaker)
+    rivals = _thrust_rivals(passing, effects, fit.model) if difference else ()
+    return ModelUncertainty(
+        parameters, tuple(names), shifted, of_common, difference, of_scale, strongest, weaker, rivals
+    )
 
 
 def untested_uncertainty(fit: Fit) -> ModelUncertainty | None:
@@ -173,6 +176,23 @@ def _thrust_differences(
         if name and name in steps.get(score.name, {}):
             found.append(steps[score.name][name] * score.lm / largest)
     return found
+
+
+def _thrust_rivals(passing: Sequence[Score], effects: Mapping[str, Effect], model: Model) -> tuple[str, ...]:
+    """Return the candidates that pass and have a difference of thrust, with their alternatives, in the order given.
+
+    An effect is an alternative of another one if either of both names the other. The tuple is empty if the model itself
+    has a difference of thrust, which the fit has estimated.
+    """
+    if any(e.thrust_difference for e in model.effects):
+        return ()
+    tested = [effects[s.name] for s in passing if s.name in effects]
+    of_thrust = [e for e in tested if e.thrust_difference]
+    return tuple(
+        e.name
+        for e in tested
+        if e in of_thrust or any(e.name in d.alternatives or d.name in e.alternatives for d in of_thrust)
+    )
 
 
 def _weaker_side(differences: Sequence[float]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -197,6 +198,7 @@ def _moved_from_zero(p: Parameter) -> Parameter:
 
 
 # Words for an effect that its title lacks, and words of the title in their place
+SHORTEST_BEGIN = 3  # characters in which a misspelt name and the name of an effect begin alike
 OTHER_WORDS = {
     "deadzone": "dead band",
     "deadband": "dead band",
@@ -217,13 +219,23 @@ OTHER_WORDS = {
 def _meant(name: str, possible: Mapping[str, Effect]) -> str:
     """Return a question that suggests effects in place of an unknown name; the question is empty if none is similar.
 
-    A name is similar if it is a misspelling of the effect's name, a part of its title, or another word for it
-    (`OTHER_WORDS`).
+    A name is similar if it is words of the title of the effect, a misspelling of its name, a part of its title, another
+    word for it (`OTHER_WORDS`), or words of its causes. Words of a title count more than a misspelling, unless the name
+    begins like the one that is misspelt.
     """
     near = closest_name(name, possible)
     word = name.lower().replace("-", " ").replace("_", " ")
     word = OTHER_WORDS.get(word.replace(" ", ""), word)
-    found = [near] if near else [n for n, e in possible.items() if word in e.title.lower().replace("-", " ")]
+    titles, causes = (
+        {n: getattr(e, text).lower().replace("-", " ") for n, e in possible.items()} for text in ("title", "causes")
+    )
+    whole = re.compile(rf"\b{re.escape(word)}\b")
+    begins = near is not None and near[:SHORTEST_BEGIN].lower() == name[:SHORTEST_BEGIN].lower()
+    in_title = [n for n, title in titles.items() if whole.search(title)]
+    if near and (begins or not in_title):
+        found = [near]
+    else:
+        found = in_title or [n for n, t in titles.items() if word in t] or [n for n, t in causes.items() if word in t]
     questions = [f"{n} ({possible[n].title})" for n in found[:3]]
     return f"did you mean {' or '.join(questions)}? " if questions else ""
 

@@ -89,7 +89,8 @@ FAR_FROM_MAXIMUM = 0.5  # standard errors by which a fit can still move; less do
 # Error of a given antenna position that is reported: m, and standard errors. A tape measure errs by less.
 LARGEST_AWAY, FAR_AWAY = 0.25, 4.0
 ALIKE = 0.9  # size of the correlation of two estimates, above which the data hardly tell one from the other
-SURE_POLE = 4.0  # standard errors above zero, below which an unstable pole is not sure
+# Standard errors above zero, below which an unstable pole is not sure: a pole of zero exceeds them in 0.1 % of the fits
+SURE_POLE = 3.0
 Z95 = 1.959964  # half the width of a 95 % interval, in standard errors
 TURNS_FOR_STABILITY = (
     "short turns to both sides at this speed, and equal inputs of both sides for some seconds after each"
@@ -1620,8 +1621,8 @@ def course_sentence(course: CourseStability | None, model: Model | None = None, 
 
     The sentence says how the speed is chosen: as a part of the highest speed ahead in the logs.
 
-    If there is one estimation log (``logs``; 0: unknown), or if the pole is less than four standard errors from zero, a
-    further sentence says so, and what to record.
+    If there is one estimation log (``logs``; 0: unknown), or if the pole is less than three standard errors from zero,
+    a further sentence says so, and what to record.
 
     If the interval of the pole contains zero, the sentence says that the data do not show the stability, in the words
     of `seatrial.ident.numerics.stability_of`. If the estimated damping of sway is negative, there is no statement on
@@ -1677,7 +1678,8 @@ def _course_doubt(t: float, logs: int) -> str:
     ``t`` is the pole divided by its standard error; NaN if it is unknown. ``logs`` is the number of estimation logs; 0:
     unknown. The text begins with a space.
     """
-    reasons = [f"the pole is only {t:.1f} standard errors above zero"] if t < SURE_POLE else []
+    few = f"the pole is {t:.1f} standard errors above zero, and less than {SURE_POLE:g} are not clear"
+    reasons = [few] if t < SURE_POLE else []
     reasons += ["it rests on one log, which does not show how much other runs differ"] if logs == 1 else []
     if not reasons:
         return ""

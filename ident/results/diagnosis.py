@@ -202,7 +202,7 @@ def diagnosis_result(
             *frames_assumed(diagnosis.after),
             *warnings,
             *short_data_warnings(diagnosis.after, after.horizon),
-            *thrust_difference_warnings(diagnosis.uncertainty, diagnosis.after.fit, given.weighed_mass),
+            *thrust_difference_warnings(diagnosis.uncertainty, diagnosis.after.fit, given.weighed_mass, diagnosed=True),
             *failed_run_warnings(diagnosis.failed_runs),
             *_untested_warnings(diagnosis),
         ),

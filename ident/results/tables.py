@@ -17,6 +17,7 @@ from seatrial.daq.errors import counted
 from seatrial.ident import validation
 from seatrial.ident.data import LoadedLog, Record, given_inputs
 from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty, RejectedCommonErrors
+from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import (
     AT_BOUND,
     Fit,
@@ -31,6 +32,7 @@ from seatrial.ident.estimation import (
 )
 from seatrial.ident.model import Effect, EffectKind, Flag, ForceCurve, Model, ModelKind, Parameter, segment_name
 from seatrial.ident.models import ESTIMATOR_ERROR, SENSORS_WITH_CORRELATED_ERRORS, force_power, thrust_of
+from seatrial.ident.results.candidate_titles import candidate_title
 from seatrial.ident.results.parts import (
     CalibrationRow,
     Calibrations,
@@ -875,6 +877,7 @@ SCORES_PASS = "By the score tests"  # begins the note on effects that may be mis
 LEAST_GROWTH = 1.05  # smallest factor of a standard error that a note lists
 # Mass in surge over the weighed mass, of most boats: the added mass of a slender hull is 5 to 30 % of the mass
 LIKELY_MASS = (1.0, 1.35)
+RIVALS_NAMED = 3  # most effects that a warning on the thrusts names as other causes
 LEAST_DIFFERENCE = 0.05  # smallest relative deviation of the thrust of each side for a warning
 
 
@@ -909,8 +912,13 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
     ]
 
 
-def thrust_difference_warnings(found: ModelUncertainty | None, fit: Fit, weighed: float | None) -> list[ResultWarning]:
+def thrust_difference_warnings(
+    found: ModelUncertainty | None, fit: Fit, weighed: float | None, *, diagnosed: bool = False
+) -> list[ResultWarning]:
     """Return a list with a warning if both sides differ in thrust by so much that masses and forces are uncertain.
+
+    If the fit has not estimated the difference, but a candidate that passes the score tests has one, the warning names
+    the other candidates that act like it, and which of them the tests prefer.
 
     Parameters
     ----------
@@ -920,20 +928,57 @@ def thrust_difference_warnings(found: ModelUncertainty | None, fit: Fit, weighed
         Fit whose standard errors include this uncertainty.
     weighed : float or None
         Weighed mass of the boat [kg]; None: unknown.
+    diagnosed : bool
+        Whether the fit is that of a diagnosis, which has tested the candidates against each other.
     """
     if found is None or found.thrust_difference < LEAST_DIFFERENCE:
         return []
     share, whole = (f"{100 * part * found.thrust_difference:.0f} %" for part in (1, 2))
     weaker, stronger = _sides(found)
-    compared = f"The {weaker} thruster gives less thrust than the {stronger} one: the" if found.weaker_side else "The"
+    if found.thrust_rivals:
+        begin = f"{_possible_difference(found, whole, diagnosed=diagnosed)} If the thrusts differ, the"
+    else:
+        less = f"The {weaker} thruster gives less thrust than the {stronger} one: the" if found.weaker_side else "The"
+        begin = f"{less} thrusts of both sides differ by {whole} of their mean. The"
     text = (
-        f"{compared} thrusts of both sides differ by {whole} of their mean. The motion does not show which side "
-        f"deviates from the given thrust. So all masses, damping and forces may be {share} too large or too small, and "
-        f"their standard errors include this. {_side_by_weighed_mass(found, fit, weighed)}If you know which side has "
-        "the given thrust, name it with --thrust-of (left or right). Otherwise measure the thrust of both sides as "
-        "they are now (seatrial bench)."
+        f"{begin} motion does not show which side deviates from the given thrust. So all masses, damping and forces "
+        f"may be {share} too large or too small, and their standard errors include this. "
+        f"{_side_by_weighed_mass(found, fit, weighed)}If you know which side has the given thrust, name it with "
+        "--thrust-of (left or right). Otherwise measure the thrust of both sides as they are now (seatrial bench)."
     )
     return [ResultWarning(code="thrust-sides-differ", text=text)]
+
+
+def _possible_difference(found: ModelUncertainty, whole: str, *, diagnosed: bool) -> str:
+    """Return sentences on a difference of thrust that the model lacks, and on the effects that act like it.
+
+    Parameters
+    ----------
+    found : ModelUncertainty
+        Uncertainty of a model without a difference of thrust, with the candidates that may be the cause.
+    whole : str
+        Difference of thrust, in per cent of the mean of both sides.
+    diagnosed : bool
+        Whether the result is that of a diagnosis, which has tested the candidates against each other.
+    """
+    weaker, stronger = _sides(found)
+    known = catalogue()
+    others = [n for n in found.thrust_rivals if not (n in known and known[n].thrust_difference)]
+    first = found.thrust_rivals[0]
+    less = f"the {weaker} thruster would give less than the {stronger} one, " if found.weaker_side else ""
+    by = f"{less}by {whole} of their mean"
+    text = f"The model lacks a force or moment that acts like a difference of the thrusts ({by})."
+    if others:
+        names = listed([f"{candidate_title(n)} ({n})" for n in others[:RIVALS_NAMED]], "and")
+        rest = len(others) - RIVALS_NAMED
+        more = f", as do {counted(rest, 'other effect')}" if rest > 0 else ""
+        text += (
+            f" It is not proved that the thrusts differ: {names} explain{'s' * (len(others) == 1)} similar data{more}"
+        )
+        text += f"; the score tests prefer {first}." if first in others else "."
+    if not diagnosed:
+        text += " `seatrial ident diagnose` tests the causes against each other."
+    return text
 
 
 THRUST_KNOWN = "By --thrust-of, the given thrust is that of"  # begins a note that the terminal shows

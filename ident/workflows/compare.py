@@ -78,6 +78,7 @@ from seatrial.ident.workflows.comparison_errors import (
     ratio_row,
 )
 from seatrial.ident.workflows.comparison_likelihood import (
+    has_selected_effects,
     information_criteria,
     log_score,
     other_parts,
@@ -431,7 +432,6 @@ def _result(
             events = concentration_notes(errors, letters, horizons[0], undecided, starts)
     models = list[ComparedModel]()
     for label, c, by, own in zip(letters, compared, predicted, changes, strict=True):
-        with_effects = any(not e.kind.nuisance for e in c.model.effects)
         row = ComparedModel(
             label=label,
             name=c.name,
@@ -439,7 +439,7 @@ def _result(
             n_free=c.n_free,
             per_log=c.per_log,
             fitted_to=used_logs(c.saved, loaded),
-            selected_by=used_logs(c.saved, loaded, "validation") if with_effects else (),
+            selected_by=used_logs(c.saved, loaded, "validation") if has_selected_effects(c.saved) else (),
             widened_horizons=tuple(s for s in horizons if c.widens(s)),
             widened_simulation=c.widens(None),
             widened_by=() if c.saved.intervals is None else used_logs(c.saved, loaded, "validation"),

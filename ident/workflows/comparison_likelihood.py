@@ -66,6 +66,15 @@ def used_logs(
     return tuple(log.run.name for log in logs if any(part_of_log(log.about).overlap(part) for part in used))
 
 
+def has_selected_effects(saved: SavedModel) -> bool:
+    """Return whether validation logs have accepted effects of a model.
+
+    The model file lists these effects. Of an older file without the list, every effect of the boat counts.
+    """
+    selected = saved.provenance.get("selected")
+    return any(not e.kind.nuisance for e in saved.model.effects) if selected is None else bool(selected)
+
+
 def other_parts(saved: SavedModel, logs: Sequence[LoadedLog]) -> dict[str, str]:
     """Return the intervals of the parts that the model was fitted to, of those ``logs`` of which it used other parts.
 

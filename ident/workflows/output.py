@@ -18,7 +18,14 @@ from seatrial.ident.estimation import (
     save_model,
 )
 from seatrial.ident.report import write_report
-from seatrial.ident.results import CalibrationRow, FitResult, ThrusterResult, write_result
+from seatrial.ident.results import (
+    CalibrationRow,
+    DiagnosisResult,
+    FitResult,
+    ThrusterResult,
+    VehicleResult,
+    write_result,
+)
 from seatrial.ident.validation import shown_inputs
 
 
@@ -60,7 +67,8 @@ def write_model(
         for role in ("estimation", "validation")
     )
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
-    made |= {"validation": validation} if validation else {}
+    if validation:
+        made |= {"validation": validation, "selected": selected_effects(result)}
     made |= {"begins": [x.start or "" for x in result.logs if x.role == "estimation"]}
     origin = next((x.origin for x in result.logs if x.role == "estimation" and x.origin is not None), None)
     save_model(
@@ -73,6 +81,17 @@ def write_model(
         refits=refits,
     )
     write_result(result, out / "result.json")
+
+
+def selected_effects(result: FitResult) -> list[str]:
+    """Return the names of the effects that the validation logs of a fit have accepted.
+
+    They are the effects that a diagnosis has found, and the common errors. Effects that the user has requested are not
+    tested by validation data.
+    """
+    found = [e.name for e in result.effects] if isinstance(result, DiagnosisResult) else []
+    common = result.common_errors if isinstance(result, (DiagnosisResult, VehicleResult)) else None
+    return [*found, *(common.names if common is not None else ())]
 
 
 def _full_speed_of(result: FitResult) -> float | None:

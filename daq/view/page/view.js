@@ -436,6 +436,11 @@ function niceStep(span, count) {
   return power * [1, 2, 5, 10].find((factor) => factor * power >= raw);
 }
 
+/** Return where a text beside a point begins or ends: on the left of the point if the canvas would cut it on the right. */
+function labelPlace(x, size, width) {
+  return x + 7 + size <= width ? { align: "left", at: x + 7 } : { align: "right", at: x - 7 };
+}
+
 function drawMap() {
   const canvas = $("map"), whole = page.track;
   canvas.hidden = !whole || !whole.t.length;
@@ -488,7 +493,8 @@ function drawMap() {
   line(near, begin, end, (t) => timeColour((t - begin) / (end - begin)), 3);
   const mark = (track, k, text) => {
     context.fillStyle = colour("--ink"); context.beginPath(); context.arc(x(track.east[k]), y(track.north[k]), 4, 0, 7); context.fill();
-    context.textAlign = "left"; context.fillText(text, x(track.east[k]) + 7, y(track.north[k]) - 5);
+    const place = labelPlace(x(track.east[k]), context.measureText(text).width, width);
+    context.textAlign = place.align; context.fillText(text, place.at, Math.max(y(track.north[k]) - 5, 12));
   };
   mark(whole, 0, "start");
   if (page.hover !== null && near.t.length) {

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from seatrial.ident.numerics import Array
+from seatrial.ident.numerics import UNSTABLE, Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import (
@@ -28,12 +29,15 @@ from seatrial.ident.report.record_tabs import (
     run_tabs,
 )
 from seatrial.ident.results import (
+    DiagnosisResult,
+    Dynamics,
     ErrorComparison,
     ErrorTable,
     FitResult,
     InputTrace,
     LogSummary,
     Trace,
+    VehicleResult,
     disturbance_reason,
 )
 
@@ -287,8 +291,14 @@ REASONS = {
     "vx": "an error of the heading turns the velocity over ground",
     "vy": "an error of the heading turns the velocity over ground",
 }
+CHANCE = (
+    "the model is directionally unstable at the speeds there, so that the motion depends on chance, as the side to "
+    "which the boat turns"
+)
 SETTLING = 5.0  # s from the start of a simulation, in which a wide interval is not told
 WIDE = 0.5  # an interval is wide if half of its width exceeds this part of the range of the measured values
+# Times three quarters of all distances between neighbouring predictions of a position, beyond which two are not joined
+FAR_APART = 3.0
 USELESS = 5.0  # an interval is useless if its width exceeds so many ranges of the measured values, or a full turn
 GAP = 5.0  # a gap is longer than this many median intervals of the samples
 
@@ -300,9 +310,12 @@ def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | No
     ``result`` has the evidence of a missing effect.
     """
     forces = disturbance_reason(result)
+    dynamics = result.dynamics if isinstance(result, (VehicleResult, DiagnosisResult)) else None
+    speeds, rates = _forward_speeds(result), growth_over_speed(dynamics)
     by_reason: dict[str, list[str]] = {}
     for row, t, sd in found:
-        if (wide := wide_band(row, t, sd, horizon, forces)) is not None:
+        chance = partial(_depends_on_chance, speeds.get(row.record), rates, horizon)
+        if (wide := wide_band(row, t, sd, horizon, forces, chance)) is not None:
             block = log_of_block(row.record, (x.name for x in result.logs)) is not None
             of = f" of the block from {row.t[0]:.0f} to {row.t[-1]:.0f} s" if block else ""
             by_reason.setdefault(wide[1], []).append(wide[0] + of)
@@ -310,7 +323,70 @@ def _wide_bands(found: Sequence[tuple[Trace, Array, Array]], horizon: float | No
     return [Lines(lines, "quiet")] if lines else []
 
 
-def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None, forces: str) -> tuple[str, str] | None:
+def growth_over_speed(dynamics: Dynamics | None) -> tuple[Array, Array] | None:
+    """Return forward speeds [m/s] and the growth rates [1/s] of the least stable motion there, both (n,), ascending.
+
+    At rest the rate is zero, and so is that of a stable motion. The result is None if the fit does not show that the
+    boat is directionally unstable.
+    """
+    if dynamics is None or dynamics.course is None or dynamics.course.stability != UNSTABLE:
+        return None
+    rates = {0.0: 0.0, dynamics.course.speed: dynamics.course.pole}
+    rates |= {p.speed: float(np.max(p.real)) for p in dynamics.points if p.real.size and p.speed > 0.0}
+    speeds = np.array(sorted(rates))
+    return speeds, np.maximum([rates[speed] for speed in speeds.tolist()], 0.0)
+
+
+def _forward_speeds(result: FitResult) -> dict[str, tuple[Array, Array]]:
+    """Return times [s] and measured forward speeds [m/s] of each record that has them, by the name of the record.
+
+    The speed is that of the channel ``u``, or else the velocity over ground along the heading.
+    """
+    by = {(row.record, row.channel): row for row in result.traces}
+    found = {record: (row.t, row.measured) for (record, channel), row in by.items() if channel == "u"}
+    for record in {name for name, channel in by if channel == "vx"} - set(found):
+        rows = [by.get((record, name)) for name in ("vx", "vy", "psi")]
+        seen = [(x.t[k], x.measured[k]) for x in rows if x is not None and (k := np.isfinite(x.measured)).any()]
+        if len(seen) == len(rows):
+            (t, north), east, heading = seen
+            psi = np.interp(t, heading[0], np.unwrap(heading[1]))
+            found[record] = (t, north * np.cos(psi) + np.interp(t, *east) * np.sin(psi))
+    return found
+
+
+def _depends_on_chance(
+    measured: tuple[Array, Array] | None, rates: tuple[Array, Array] | None, horizon: float | None, at: float
+) -> bool:
+    """Return whether a deviation grows by a factor of e or more at the measured speeds before the time ``at`` [s].
+
+    Parameters
+    ----------
+    measured
+        Times [s] and measured forward speeds [m/s] of the record; None: unknown, so that nothing is said.
+    rates
+        Growth rates of the model over the speed (`growth_over_speed`); None: the model is not unstable.
+    horizon
+        Prediction horizon [s]. None: a simulation, from the start of the record.
+    at
+        Time [s].
+    """
+    if measured is None or rates is None:
+        return False
+    t, speed = measured
+    inside = (t <= at) & (t >= (-np.inf if horizon is None else at - horizon)) & np.isfinite(speed)
+    if inside.sum() < 2:
+        return False
+    return bool(np.trapezoid(np.interp(speed[inside], *rates), t[inside]) >= 1.0)
+
+
+def wide_band(
+    row: Trace,
+    t: Array,
+    sd: Array,
+    horizon: float | None,
+    forces: str,
+    chance: Callable[[float], bool] = lambda _: False,
+) -> tuple[str, str] | None:
     """Return where and why the 95 % interval of a channel is wide, as two texts; None if it is nowhere wide.
 
     The width of an interval that is wider than five ranges of the measured values, or than a full turn of an angle, is
@@ -327,6 +403,9 @@ def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None, forces: st
         Prediction horizon [s]; None for a simulation.
     forces
         Reason for a channel that is no integral of another one: the text of `disturbance_reason`.
+    chance
+        Function that returns whether the motion depends on chance, given the time [s] at which the interval is widest,
+        because the boat is directionally unstable. The reason then begins with it.
 
     Notes
     -----
@@ -345,7 +424,7 @@ def wide_band(row: Trace, t: Array, sd: Array, horizon: float | None, forces: st
     spread = 2.0 * np.pi if row.angle else float(np.ptp(row.measured[seen]))
     if not half[k] > WIDE * spread:
         return None
-    why = REASONS.get(row.channel, forces)
+    why = REASONS.get(row.channel) or (f"{CHANCE}. Besides, {forces}" if chance(float(t[k])) else forces)
     if horizon is not None:
         samples, start = row.t[seen], t[k] - horizon
         before = samples[samples <= start]
@@ -375,9 +454,9 @@ def _predicted_track(canvas: Canvas, result: FitResult, rows: Sequence[Trace], t
     origin, limit = origin_words(result.logs, tab.name), canvas.budget.points // max(len(pairs), 1)
     traces, predicted = [], []
     for x, y in pairs:
-        traces += _path_traces("measured", x.measured, y.measured, limit)
-        traces += _path_traces("before", x.horizon_before, y.horizon_before, limit)
-        predicted += _path_traces("model", x.horizon, y.horizon, limit)
+        traces += _path_traces("measured", x.t, x.measured, y.measured, limit)
+        traces += _path_traces("before", x.t_horizon, x.horizon_before, y.horizon_before, limit)
+        predicted += _path_traces("model", x.t_horizon, x.horizon, y.horizon, limit)
     if not predicted:
         return []
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
@@ -502,7 +581,7 @@ def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any
     for style in ("measured", "before", "model"):
         for row in rows:
             x, y = getattr(row, f"x_{style}"), getattr(row, f"y_{style}")
-            traces += _path_traces(style, x, y, canvas.budget.points // len(rows))
+            traces += _path_traces(style, None, x, y, canvas.budget.points // len(rows))
     if not traces:
         return []
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
@@ -510,11 +589,16 @@ def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any
     return [Grid([canvas.plot(figure, 420, f"Track, {tab.title}", "Track, north up")], 320, "narrow")]
 
 
-def _path_traces(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:
+def _path_traces(
+    style: str, t: Array | None, north: Array | None, east: Array | None, limit: int
+) -> list[drawing.Trace]:
     """Return the trace of a track of at most ``limit`` points, and the trace of a marker at its start.
 
     ``style`` determines name, colour and width: ``measured``, ``before`` (model before effects were added) or
-    ``model``. The list is empty if ``north`` or ``east`` [m] is None, or without finite positions.
+    ``model``. The list is empty if ``north`` or ``east`` [m] is None, or without finite positions. With the times ``t``
+    [s] of the positions, the line has a gap where positions are missing. The line of a model then also has one where
+    neighbouring predictions are far apart: they start from different states, and the boat has not moved between them.
+    Without ``t`` the line has no gaps.
     """
     if north is None or east is None:
         return []
@@ -527,7 +611,13 @@ def _path_traces(style: str, north: Array | None, east: Array | None, limit: int
         "before": {"color": drawing.BEFORE, "width": 1.6, "dash": "dash"},
         "model": {"color": drawing.MODEL, "width": 1.8},
     }[style]
-    coordinates = {"x": drawing.packed(east[at]), "y": drawing.packed(north[at])}
+    after = np.zeros(0, int)
+    if t is not None and at.size > 2:
+        interval, steps = np.diff(t[at]), np.hypot(np.diff(east[at]), np.diff(north[at]))
+        far = steps > FAR_APART * np.quantile(steps, 0.75) if style != "measured" else np.zeros(steps.size, bool)
+        after = np.flatnonzero(far | (interval > GAP * np.median(interval))) + 1
+    coordinates = {"x": drawing.packed(np.insert(east[at], after, np.nan))}
+    coordinates["y"] = drawing.packed(np.insert(north[at], after, np.nan))
     start = {"type": "scatter", "mode": "markers", "x": [float(east[at[0]])], "y": [float(north[at[0]])]}
     marker = {"symbol": "circle-open", "size": 9, "color": line["color"], "line": {"width": 2}}
     path = {"type": "scatter", "mode": "lines", "name": style, **coordinates, "line": line}

@@ -368,6 +368,9 @@ def test_files_that_share_a_map_share_its_guessed_scale(tmp_path: Path) -> None:
         assert "1 / 1000, the largest number of these 2 files" in made.text
         assert "`seatrial import --guess one.csv two.csv`" in made.text
     assert guess_map(paths[0]).full == {"n_left": 400.0, "n_right": 400.0}
+    # A file of other columns is not one of those of the scale.
+    write(tmp_path, {"t": TIME, "force [N]": turn, "cmd [%]": 50.0 * turn}).rename(tmp_path / "pool.csv")
+    assert "1 / 1000, the largest number of these 2 files" in guess_maps([*paths, tmp_path / "pool.csv"])[0].text
     words = ["--guess", *map(str, paths), "-o", str(tmp_path / "both.toml")]
     CliRunner().invoke(cli.import_, words, catch_exceptions=False)
     assert (tmp_path / "both.toml").read_text(encoding="utf-8") == maps[0].text

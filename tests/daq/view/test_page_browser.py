@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 import os
 import re
 import threading
@@ -18,6 +19,7 @@ from tests.daq.view.test_viewed_log import write_run
 from tests.ident.pages import browser, chromium
 
 pytestmark = [browser, pytest.mark.slow]
+FOLDER = Path(inspect.getfile(PageServer)).parent / "page"
 TRIES = 3  # on a busy machine, the virtual time of the browser may end before its first frame
 
 
@@ -64,3 +66,14 @@ def test_a_log_without_samples_is_a_page_too(tmp_path: Path) -> None:
     assert "This log has no position" in page
     assert "This log has no events" in page
     assert 'value="1">other.mcap' in page
+
+
+def test_the_label_of_a_point_at_the_right_edge_is_on_its_left(tmp_path: Path) -> None:
+    """The label "start" was cut to "star"."""
+    function = re.search(r"function labelPlace.*?\n}\n", (FOLDER / "view.js").read_text(encoding="utf-8"), re.DOTALL)
+    assert function is not None
+    calls = "[[100, 30, 400], [363, 30, 400], [364, 30, 400]].map((given) => labelPlace(...given))"
+    script = f"{function[0]}document.body.textContent = JSON.stringify({calls});"
+    (tmp_path / "page.html").write_text(f"<body><script>{script}</script></body>", encoding="utf-8")
+    page = chromium(tmp_path, "--dump-dom", (tmp_path / "page.html").as_uri()).stdout
+    assert '[{"align":"left","at":107},{"align":"left","at":370},{"align":"right","at":357}]' in page

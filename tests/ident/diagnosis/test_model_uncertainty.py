@@ -241,6 +241,22 @@ def test_the_weaker_side_is_not_named_if_model_and_candidate_disagree(of_step: f
     assert found.weaker_side == {"candidate": candidate, "model": other, "": ""}[side]
 
 
+def test_candidates_that_act_like_a_difference_of_thrust_are_its_rivals() -> None:
+    """The largest criterion is first. A difference that the model has is estimated beside no rivals."""
+    equations = regression()[2]
+    one = replace(catalogue()["mismatch"], name="one", thrust_difference="a", parameters=(Parameter("a", 0.0),))
+    two = Effect("two", "two", {}, parameters=(Parameter("b", 0.0), Parameter("c", 0.0)), alternatives=("one",))
+    passing = [passed("two"), passed("one")]
+    unrelated = replace(two, alternatives=())
+    for effects, rivals in (({"one": one, "two": two}, ("two", "one")), ({"one": one, "two": unrelated}, ("one",))):
+        found = model_uncertainty(equations, passing, effects, fitted())
+        assert found is not None
+        assert found.thrust_rivals == rivals
+    estimated = model_uncertainty(equations, passing, {"one": one, "two": two}, fitted(difference=0.2))
+    assert estimated is not None
+    assert estimated.thrust_rivals == ()
+
+
 def test_mean_square_of_the_shifts_is_added_to_the_covariance() -> None:
     blank: dict[str, Any] = dict.fromkeys(Fit.__dataclass_fields__)
     covariance = np.array([[4.0, 1.0, np.nan], [1.0, 9.0, np.nan], [np.nan] * 3])

@@ -186,6 +186,16 @@ def test_choice_between_two_antennas_is_reported() -> None:
             "fouled",
             "--effect fouled: there is no such effect; did you mean mismatch (a thrust mismatch of the left and right",
         ),
+        (
+            "horizontal:shaft",
+            "toe-in",
+            "--effect toe-in: there is no such effect; did you mean thrust-angle (thrusters that do not push",
+        ),
+        (
+            "horizontal:shaft",
+            "parallel",
+            "--effect parallel: there is no such effect; did you mean thrust-angle (thrusters that do not push",
+        ),
         ("surge", "mount", "--effect mount: model surge has no place for this effect; it can have none"),
         (
             "horizontal:shaft:random-walk-current",

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import pytest
 
-from seatrial.ident.report.page import write_report
+from seatrial.ident.report.page import figure_page, write_report
 from tests.ident.pages import KINDS as CONTENTS
 from tests.ident.pages import PAGES, Page, browser, chromium, loaded
 
@@ -58,7 +58,13 @@ def with_many_tabs(path: Path) -> None:
     write_report(loaded(content | {"traces": traces}), path)
 
 
-MAKERS = PAGES | {"long titles": with_long_titles, "many tabs": with_many_tabs}
+def with_one_figure(path: Path) -> None:
+    """Write the page of one figure, which has no contents beside it."""
+    figure = {"data": [{"type": "scatter", "x": [0.0, 1.0], "y": [0.0, 1.0]}], "layout": {"height": 400}}
+    path.write_text(figure_page("Measured (grey) and predicted (blue)", figure), encoding="utf-8")
+
+
+MAKERS = PAGES | {"long titles": with_long_titles, "many tabs": with_many_tabs, "one figure": with_one_figure}
 
 
 class Drawn(NamedTuple):
@@ -77,13 +83,13 @@ class Drawn(NamedTuple):
 
 
 @cache
-def seen(kind: str) -> tuple[Path, Drawn, str]:
-    """Return a page, its drawing by the browser, and the messages of the browser."""
+def seen(kind: str, width: int = WIDTH) -> tuple[Path, Drawn, str]:
+    """Return a page, its drawing by the browser in a frame of this width [px], and the messages of the browser."""
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     page, frame = folder / "page.html", folder / "frame.html"
     MAKERS[kind](page)
-    frame.write_text(f'{FRAME}<iframe src="{page.name}" width="{WIDTH}" height="{HEIGHT}"></iframe>', encoding="utf-8")
+    frame.write_text(f'{FRAME}<iframe src="{page.name}" width="{width}" height="{HEIGHT}"></iframe>', encoding="utf-8")
     for _ in range(TRIES):
         run = chromium(folder, "--window-size=500,1600", "--dump-dom", frame.as_uri())
         match = re.search(r'<pre title="(\d+) (\d+) (\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
@@ -109,7 +115,7 @@ def test_browser_draws_every_figure_without_errors(kind: str) -> None:
         assert len(drawn) == len(page.figures())
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "long titles", "many tabs"])
+@pytest.mark.parametrize("kind", [*KINDS, "long titles", "many tabs", "one figure"])
 def test_no_report_is_wider_than_a_phone(kind: str) -> None:
     _, page, _ = seen(kind)
     assert page.wide <= WIDTH
@@ -117,6 +123,14 @@ def test_no_report_is_wider_than_a_phone(kind: str) -> None:
     assert 200 < page.plot < page.wide
     assert page.titles <= WIDTH - 16  # the padding of the page
     assert page.hidden_tabs == 0  # A list of tabs that scrolls looks complete.
+
+
+@pytest.mark.parametrize("width", [1000, 1280, 1920])
+def test_a_page_without_contents_uses_the_width_of_a_screen(width: int) -> None:
+    """It is not put into the narrow column of the contents, which other pages have beside the text."""
+    _, page, _ = seen("one figure", width)
+    assert page.needed <= page.wide
+    assert 0.85 * min(width, 1100) < page.plot <= 1100
 
 
 @pytest.mark.parametrize(

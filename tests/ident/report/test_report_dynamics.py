@@ -14,7 +14,7 @@ from seatrial.ident.report import page
 from seatrial.ident.report.blocks import Budget, Canvas
 from seatrial.ident.report.bode import phase_axis
 from seatrial.ident.report.sections.dynamics import section
-from seatrial.ident.report.sections.runs import wide_band
+from seatrial.ident.report.sections.runs import _forward_speeds, _path_traces, _wide_bands, growth_over_speed, wide_band
 from seatrial.ident.results import (
     CourseStability,
     DiagnosisResult,
@@ -292,6 +292,57 @@ def test_wide_interval_has_a_place_and_a_reason() -> None:
     assert why == FORCES
 
 
+def test_a_wide_interval_of_an_unstable_boat_says_that_its_motion_depends_on_chance() -> None:
+    """It names the missing effect as well. Of a stable model, and of a boat that goes astern, it is the only reason."""
+    t = np.arange(0.0, 100.0, 0.5)
+    fast = {"channel": "u", "measured": np.where(t < 50.0, -0.9, 0.9) + 0.01 * np.sin(t)}
+    sd = np.where((t == 30.0) | (t == 80.0), 9.0, 0.1)
+    course = CourseStability(speed=0.8, pole=0.6, low=0.4, high=0.8)
+    result = loaded(KINDS["diagnosis"]())
+
+    def reasons(course: CourseStability, at: float) -> str:
+        rows = [trace(**fast), trace(channel="r", unit="rad/s", sd_horizon=np.where(t == at, sd, 0.1))]
+        made = msgspec.structs.replace(result, traces=tuple(rows), dynamics=Dynamics(course=course))
+        (block,) = _wide_bands([(rows[1], t, rows[1].sd_horizon)], 10.0, made)
+        return str(block)
+
+    begin = "the model is directionally unstable at the speeds there, so that the motion depends on chance"
+    assert begin in reasons(course, 80.0)
+    assert "Besides, " in reasons(course, 80.0)
+    assert begin not in reasons(course, 30.0)
+    for other in ({"low": -0.1}, {"pole": 0.05, "low": 0.01, "high": 0.09}, {"pole": -0.6, "low": -0.8, "high": -0.4}):
+        assert begin not in reasons(msgspec.structs.replace(course, **other), 80.0)
+
+
+def test_growth_over_the_speed_is_that_of_the_unstable_linear_models() -> None:
+    """It is zero at rest and where the model is stable, and unknown unless the data show that the boat is unstable."""
+    course = CourseStability(speed=0.8, pole=0.6, low=0.4, high=0.8)
+    point = {"inputs": {}, "imaginary": np.zeros(2), "stable": False}
+    points = tuple(
+        OperatingPoint(speed=speed, real=np.array([pole, -1.0]), **point)
+        for speed, pole in ((0.2, -0.1), (0.4, 0.3), (1.2, 0.9))
+    )
+    speeds, rates = growth_over_speed(Dynamics(course=course, points=points)) or ([], [])
+    np.testing.assert_allclose(speeds, [0.0, 0.2, 0.4, 0.8, 1.2])
+    np.testing.assert_allclose(rates, [0.0, 0.0, 0.3, 0.6, 0.9])
+    assert growth_over_speed(Dynamics(points=points)) is None
+    assert growth_over_speed(None) is None
+    unknown = msgspec.structs.replace(course, low=-0.1)
+    assert growth_over_speed(Dynamics(course=unknown, points=points)) is None
+
+
+def test_the_forward_speed_is_that_along_the_heading() -> None:
+    heading = np.linspace(3.0, 9.0, 200)
+    rows = [
+        trace(channel="vx", measured=-0.7 * np.cos(heading)),
+        trace(channel="vy", measured=-0.7 * np.sin(heading)),
+        trace(channel="psi", measured=np.where(np.arange(200) % 2, np.nan, np.angle(np.exp(1j * heading)))),
+    ]
+    made = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), traces=tuple(rows))
+    np.testing.assert_allclose(_forward_speeds(made)["a"][1], -0.7, rtol=1e-3)
+    assert _forward_speeds(msgspec.structs.replace(made, traces=tuple(rows[:2]))) == {}
+
+
 def test_a_wide_interval_names_a_missing_effect_that_is_known_before_the_disturbances() -> None:
     """The reason was disturbance forces even if the score tests said that an effect is missing."""
     fit = loaded(KINDS["thruster"]())
@@ -396,3 +447,19 @@ def test_poles_of_a_boat_in_wind_name_their_heading() -> None:
     assert "of the model linearised at each speed, on heading 90 deg" in words
     assert "From 1 m/s on (on heading 90 deg), the boat does not hold a straight course" in words
     assert "Another heading has other poles" in words
+
+
+def test_predictions_that_are_far_apart_are_not_joined_in_the_track() -> None:
+    """Neighbouring predictions of an unstable boat start from different states. Its measured track has no such gaps."""
+    t = np.arange(0.0, 80.0, 0.4)
+    north, east = 0.3 * t, np.where((t > 20.0) & (t < 24.0), 6.0, 0.0)
+    seen = (t < 50.0) | (t > 60.0)
+    model, _ = _path_traces("model", t[seen], north[seen], east[seen], 1000)
+    y = np.array(numbers(model["y"]), float)
+    before = [0.3 * t[np.flatnonzero(t > at)[0] - 1] for at in (20.0, 24.0 - 1e-9, 50.0 - 1e-9)]
+    np.testing.assert_allclose(y[np.flatnonzero(np.isnan(y)) - 1], before, rtol=1e-5)
+    assert np.array_equal(np.isnan(y), np.isnan(np.array(numbers(model["x"]), float)))
+    measured, _ = _path_traces("measured", t[seen], north[seen], east[seen], 1000)
+    assert np.isnan(np.array(numbers(measured["y"]), float)).sum() == 1
+    simulated, _ = _path_traces("model", None, north, east, 1000)
+    assert np.isfinite(np.array(numbers(simulated["y"]), float)).all()

@@ -842,3 +842,32 @@ def test_the_weaker_thruster_is_named(weaker: str, begin: str, evidence: str) ->
     (warning,) = thrust_difference_warnings(found, fit, 228.0)
     assert warning.text.startswith(f"{begin} their mean. The motion does not show which side deviates")
     assert evidence in warning.text
+
+
+@pytest.mark.parametrize(
+    ("rivals", "others"),
+    [
+        (
+            ("propeller-walk", "mismatch", "yaw-bias"),
+            "explain similar data; the score tests prefer propeller-walk.",
+        ),
+        (("mismatch", "propeller-walk"), "propeller walk (propeller-walk) explains similar data."),
+        (("mismatch",), "of their mean). `seatrial ident diagnose`"),
+    ],
+    ids=["another is first", "another is second", "alone"],
+)
+def test_a_difference_of_thrust_that_the_fit_lacks_is_no_fact(rivals: tuple[str, ...], others: str) -> None:
+    """Effects that act like it are named with it, and the warning says which one the score tests prefer."""
+    fit: Any = SimpleNamespace(names=("m_u",), estimate=lambda _: (29.0, 2.3))
+    none = np.zeros((0, 1))
+    found = ModelUncertainty(("m_u",), (), none, np.zeros((1, 1)), 0.075, np.array([2.0]), weaker_side="left")
+    found = replace(found, thrust_rivals=rivals)
+    (warning,) = thrust_difference_warnings(found, fit, None)
+    assert warning.text.startswith(
+        "The model lacks a force or moment that acts like a difference of the thrusts (the left thruster would give "
+        "less than the right one, by 15 % of their mean)."
+    )
+    assert others in warning.text
+    assert "tests the causes against each other. If the thrusts differ, the motion does not show" in warning.text
+    (diagnosed,) = thrust_difference_warnings(found, fit, None, diagnosed=True)
+    assert "seatrial ident diagnose" not in diagnosed.text

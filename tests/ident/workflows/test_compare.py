@@ -42,7 +42,8 @@ from seatrial.ident.report.formatting import with_error
 from seatrial.ident.report.page import render
 from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, overlay_panels
 from seatrial.ident.report.terminal import compared_tables
-from seatrial.ident.results import ComparisonResult, CourseStability, LogScore
+from seatrial.ident.results import ComparisonResult, CourseStability, LogScore, VehicleResult
+from seatrial.ident.results.parts import CommonErrorsRow
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.validation import prediction_errors
 from seatrial.ident.validation.prediction_errors import PredictionErrors
@@ -76,7 +77,8 @@ from seatrial.ident.workflows.comparison_likelihood import (
 )
 from seatrial.ident.workflows.dynamics import course_at_speeds
 from seatrial.ident.workflows.model_differences import model_differences
-from tests.ident.pages import numbers
+from seatrial.ident.workflows.output import selected_effects
+from tests.ident.pages import KINDS, loaded, numbers
 from tests.ident.reports import Kept
 from tests.missions import boat_log, boat_with
 
@@ -1052,12 +1054,10 @@ def weedy_models(logs: list[Path], models: list[Path]) -> list[Path]:
 
 
 def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Path], weedy_models: list[Path]) -> None:
-    """The errors of such a model are those of a fit, and a log that selected its effects is no unused log."""
+    """The errors of such a model are those of a fit. An effect that the user requested was selected by no log."""
     result = compare_models(CompareRequest(weedy_models, [logs[2]], (2.0,), names=("plain", "weedy")), "", Kept())
     assert [m.per_log for m in result.models] == [("V_x", "V_y"), ("V_x", "V_y", "g_before")]
     assert {w.code: w.text.partition(":")[0] for w in result.warnings} == {
-        "compared-on-validation-log": "effects of (b), also those of the timing and mounting of sensors and of the "
-        "hull form, were accepted by run3",
         "effect-estimated-on-compared-log": "(b) estimates parameters of an effect anew on each compared log "
         "(g_before of growing-drag)",
         "intervals-from-compared-log": "the errors on run3 have widened the intervals of (b), so that the share of the "
@@ -1065,7 +1065,6 @@ def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Pat
     }
     assert "Estimated anew for each compared log: (a) V_x, V_y; (b) V_x, V_y, g_before." in result.notes
     assert result.models[1].score is not None
-    assert not result.models[1].score.held_out
     folders = [file.parent for file in weedy_models]
     message = r"its parameters differ between the fitted runs, and the model has their means \(g_before = \S+: \w"
     with pytest.warns(SeatrialWarning, match=message):
@@ -1073,6 +1072,34 @@ def test_effects_that_are_estimated_on_the_compared_log_are_named(logs: list[Pat
     with warnings.catch_warnings():
         warnings.simplefilter("error", SeatrialWarning)
         st.linearise(folders[0], 0.5)
+
+
+@pytest.mark.parametrize("line", ['selected = ["growing-drag"]\n', ""], ids=["selected", "older file"])
+def test_effects_that_a_validation_log_has_accepted_are_named(
+    logs: list[Path], weedy_models: list[Path], tmp_path: Path, line: str
+) -> None:
+    """A log that selected the effects of a model is no unused log. A file without their names counts all effects."""
+    text = weedy_models[1].read_text(encoding="utf-8")
+    assert "\nselected = []\n" in text
+    accepted = tmp_path / "model.toml"
+    accepted.write_text(text.replace("selected = []\n", line), encoding="utf-8")
+    request = CompareRequest([*weedy_models, accepted], [logs[2]], (2.0,), names=("plain", "requested", "accepted"))
+    result = compare_models(request, "", Kept())
+    (warning,) = (w for w in result.warnings if w.code == "compared-on-validation-log")
+    assert warning.text.startswith("effects of (c), also those of the timing and mounting of sensors")
+    assert [bool(m.selected_by) for m in result.models] == [False, False, True]
+
+
+def test_selected_effects_are_those_of_a_diagnosis_and_the_common_errors() -> None:
+    gains = dict.fromkeys(("gain", "df", "validation_gain", "t", "prediction"))
+    common = CommonErrorsRow(names=("lift",), titles=("hull lift",), parameters=(), **gains)
+    found = msgspec.structs.replace(loaded(KINDS["diagnosis"]()), common_errors=common)
+    assert found.effects
+    assert selected_effects(found) == [*(e.name for e in found.effects), "lift"]
+    bench = KINDS["thruster"]()
+    fitted = loaded({n: bench[n] for n in bench if n in VehicleResult.__struct_fields__} | {"kind": "vehicle"})
+    assert selected_effects(msgspec.structs.replace(fitted, common_errors=common)) == ["lift"]
+    assert selected_effects(msgspec.structs.replace(fitted, common_errors=None)) == []
 
 
 def test_effects_with_parameters_of_a_log_are_compared_in_blocks(

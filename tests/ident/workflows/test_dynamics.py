@@ -153,8 +153,9 @@ def test_the_speed_of_the_stability_is_that_of_the_data_and_not_of_the_model(fit
         (0.28, 2, []),
         (0.28, 0, []),
         (0.28, 1, ["it rests on one log"]),
-        (0.05, 2, ["the pole is only 2.4 standard errors above zero"]),
-        (0.05, 1, ["the pole is only 2.4 standard errors above zero, and it rests on one log"]),
+        (0.05, 2, ["the pole is 2.4 standard errors above zero, and less than 3 are not clear"]),
+        (0.13, 2, []),  # 3.5 standard errors
+        (0.05, 1, ["standard errors above zero, and less than 3 are not clear, and it rests on one log"]),
         (None, 1, ["it rests on one log"]),
     ],
 )
