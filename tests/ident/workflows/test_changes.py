@@ -238,6 +238,10 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     assert mass.before.mean == pytest.approx(before["m_u"].mean, rel=0.02)  # its weights include the scatter
     assert found.table.num_rows > 0
     saved = st.load(folder)
+    with pytest.raises(
+        SeatrialError, match=r"'campaigns' has no figure in Python; .* its figures are in .*report.html"
+    ):
+        st.load(folder).plot()
     pandas.testing.assert_frame_equal(saved.to_pandas(), frame, rtol=1e-5)  # result.json is rounded
     assert saved.summary() == found.summary()
     assert saved._repr_html_() == found._repr_html_()
@@ -533,6 +537,17 @@ def test_effects_of_the_model_are_present_or_not() -> None:
         ("mismatch", False, True, True),
         ("wind", True, True, False),
     }
+
+
+@pytest.mark.parametrize(("difference", "said"), [(0.5, True), (0.0, False)])
+def test_a_difference_of_the_sides_in_some_logs_is_told_if_a_campaign_has_it(difference: float, said: bool) -> None:
+    """The note stood beside a table in which the difference is significant in neither campaign."""
+    rng = np.random.default_rng(7)
+    values = {"k_T": difference * (np.arange(8) >= 4) + 0.02 * rng.normal(size=8), "m_u": np.full(8, 40.0)}
+    rows = rows_of(values, 0.02, effect={"k_T": "mismatch"})
+    rows[-1]["prior_parts"] = json.dumps({SIDES: 0.01})
+    notes = compared(rows, 4).notes
+    assert any(note.startswith("The thrusts of both sides differ in some logs") for note in notes) == said
 
 
 @pytest.mark.parametrize(
