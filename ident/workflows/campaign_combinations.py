@@ -160,7 +160,7 @@ def _relative_error(combination: Combination) -> float:
     rows = [r for r in combination.rows if r is not None]
     if not rows or any(r["value"] <= 0.0 for r in rows):
         return math.inf
-    return float(np.mean([(r["se"] / r["value"]) ** 2 for r in rows])) ** 0.5
+    return math.sqrt(sum((r["se"] / r["value"]) ** 2 for r in rows) / len(rows))
 
 
 def _typical_velocity(fitted: FittedLogs, state: str) -> float | None:
