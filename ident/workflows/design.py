@@ -872,7 +872,10 @@ def _design_answer(
             f"{_random_sequences_sentence(apart, made.problem.limits.bind)}"
         )
         worse = is_larger(baseline.value, least)
-        return f"{answer}. {warn_worse_than_baseline(baseline, made.problem, 'T', least)}" if worse else answer
+        if not worse:
+            return answer
+        warning = warn_worse_than_baseline(baseline, made.problem, "T", least)
+        return f"{answer}. {warning.removesuffix('.') if made.problem.limits.bind else warning}"
     parts = []
     rows = [p for p in parameters if p.chosen]
     for p in rows[:NAMED]:

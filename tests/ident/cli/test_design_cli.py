@@ -483,6 +483,8 @@ def test_a_discrimination_says_that_random_sequences_are_enough(
     )
     assert words in answer
     assert ("already distinguish them" in answer) == bool(words)
+    # The sentence on the area begins with a full stop.
+    assert _design_answer(made, [], apart, baseline).endswith("--duration.") != limited
 
 
 @pytest.mark.parametrize(
