@@ -284,10 +284,10 @@ class Round:
             case Outcome.SMALL:
                 return (
                     "other effects are small compared with the effects found: "
-                    f"{best.effect.title} gains {best.gain:.0f} in 2 ln L"
+                    f"{_in_sentence(best.effect.title)} gains {best.gain:.0f} in 2 ln L"
                 )
             case Outcome.WORSE_PREDICTION:
-                worse = f"{best.effect.title} makes the prediction worse"
+                worse = f"{_in_sentence(best.effect.title)} makes the prediction worse"
                 if best.validation_gain > 0.0 and best.t > CLEAR_T:
                     worse += (
                         ", although it explains a part of the residuals one step ahead: the log-likelihood of the "
@@ -295,7 +295,7 @@ class Round:
                     )
                 return worse
             case Outcome.NO_BETTER_PREDICTION:
-                explained = f"{best.effect.title} explains a part of the residuals one step ahead"
+                explained = f"{_in_sentence(best.effect.title)} explains a part of the residuals one step ahead"
                 if best.validation_gain > 0.0 and best.t > CLEAR_T:
                     explained += (
                         f" (the log-likelihood of the validation data rises by {best.validation_gain:.0f}, t = "
@@ -304,6 +304,11 @@ class Round:
                 return f"{explained}, but the prediction is no better with it"
             case _:
                 return "no candidate predicts the validation data significantly better"
+
+
+def _in_sentence(title: str) -> str:
+    """Return the title of an effect as the subject of a sentence: that of a nonparametric effect without its colon."""
+    return title.replace("a nonparametric effect: ", "a curve by which ")
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ SHAFT_STAGES = ("shaft", "dead_band", "thrust_lag")  # places of effects between
 DIFFERENT = 0.02  # of the largest thrust: a larger difference of two thrust curves gives a warning
 MARGIN = 0.05  # of full speed by which a boat may exceed the range of the bench without a warning
 SPEEDS = np.linspace(-1.0, 1.0, 41)  # shaft speeds at which thrust curves are compared
+SMALLEST_SHARE = 1e-6  # of the thrust at full speed, below which the slope of its shaft speed is bounded (n = 0.001)
 
 
 @dataclass(frozen=True)
@@ -451,6 +452,17 @@ def with_shaft_remark(content: Content) -> Content:
     return replace(content, remarks=(*content.remarks, *lines))
 
 
+def _shaft_speed(thrust: Any, ahead: Any, astern: Any) -> Any:
+    """Return the shaft speed of a thrust [N], with the thrusts ahead and astern at full speed [N].
+
+    It is ``q / sqrt(|q|)`` of the thrust as a signed share q of that at full speed. The square roots of ``max(q, 0)``
+    and ``max(-q, 0)`` would give the same value. One of them is always at zero, where its slope is infinite, so that
+    automatic differentiation finds inf * 0 = NaN at each thrust. `SMALLEST_SHARE` keeps the slope finite at zero.
+    """
+    share_ahead, share_astern = np.maximum(thrust, 0.0) / ahead, np.maximum(-thrust, 0.0) / astern
+    return (share_ahead - share_astern) / np.sqrt(share_ahead + share_astern + SMALLEST_SHARE)
+
+
 def with_thrust_input(boat: Content) -> Content:
     """Return a boat model with the thrusts ``f_left``, ``f_right`` [N] as inputs in place of the shaft speeds.
 
@@ -466,7 +478,7 @@ def with_thrust_input(boat: Content) -> Content:
     Warns
     -----
     SeatrialWarning
-        If an effect needs the shaft speed, whose slope by the thrust is infinite at rest.
+        If an effect needs the shaft speed, whose slope by the thrust is infinite at zero thrust.
     """
     model = boat.model
     shafts = {i.name: thrust_of(SignalId.parse(i.name).source) for i in model.inputs if i.name in ("n_left", "n_right")}
@@ -500,11 +512,7 @@ def with_thrust_input(boat: Content) -> Content:
 
     def speeds(s: Signals) -> None:
         """Set the shaft speeds ``s.n`` by side to those that have the given thrusts."""
-        forces = thrusts(s)
-        s.n = {
-            side: np.sqrt(np.maximum(f, 0.0) / (s.p.c1 + s.p.c2)) - np.sqrt(np.maximum(-f, 0.0) / (s.p.c1 - s.p.c2))
-            for side, f in forces.items()
-        }
+        s.n = {side: _shaft_speed(f, s.p.c1 + s.p.c2, s.p.c1 - s.p.c2) for side, f in thrusts(s).items()}
 
     changed = _with_thrust(model, thrusts)
     stages = tuple((name, speeds if name == "shaft" else f) for name, f in changed.stages)
@@ -518,8 +526,9 @@ def with_thrust_input(boat: Content) -> Content:
     found = with_model(boat, changed, boat.saved.errors)
     if {"c1", "c2"} & {p.name for p in found.exported_parameters}:
         warn(
-            "an effect of the model needs the shaft speed, whose slope by the thrust is infinite at rest; start an "
-            "optimisation from a small thrust"
+            "an effect of the model needs the shaft speed, whose slope by the thrust is infinite at zero thrust; it is "
+            "bounded below a millionth of the full thrust. An optimiser that changes the direction of a thrust needs a "
+            "limit of its iterations (documentation: Controllers from a fitted model, MPC with CasADi)"
         )
     validity = dict(boat.saved.validity)
     for shaft, force in shafts.items():

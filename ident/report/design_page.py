@@ -96,11 +96,11 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
     """
     found = [("model", result.model), (f"criterion {result.criterion}", formatting.plain(result.value, 4))]
     best = max((r.value for r in result.baselines), default=None)
-    found.append((f"best of {result.random_sequences}", formatting.plain(best, 4)))
+    free = " (which ignore the limits)" if result.limited else ""
+    found.append((f"best of {result.random_sequences}{free}", formatting.plain(best, 4)))
     if result.share_won is not None:
-        found.append(
-            ("better than the best PRBS and RGS in", formatting.percent(result.share_won, 1) + " of the samples")
-        )
+        share = formatting.percent(result.share_won, 1)
+        found.append((f"better than the best PRBS and RGS{free} in", f"{share} of the samples"))
     if result.rates:
         found.append(("sensors", ", ".join(f"{name} {hz:.3g} Hz" for name, hz in result.rates.items())))
     if result.apart is not None:

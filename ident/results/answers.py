@@ -423,10 +423,10 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 
     There is at most one text on narrow and one on wide intervals for each kind of prediction: one step ahead, over the
     horizon, simulated. The factor of each channel is its RMS error over the predicted one, or the word diverged. The
-    text advises to multiply the predicted standard deviations by the factors, except for narrow intervals over the
-    horizon and in simulation on validation data: these are widened already. If a channel diverged, the text also
-    advises against such predictions. The texts are about the validation data, or about the estimation data if there
-    are no validation data. The list is empty if no channel is overconfident or underconfident.
+    text advises to multiply the predicted standard deviations by the factors, except for those over the horizon and in
+    simulation on validation data: narrow intervals are widened already, and wide ones are never narrowed. If a channel
+    diverged, the text also advises against such predictions. The texts are about the validation data, or about the
+    estimation data if there are no validation data. The list is empty if no channel is overconfident or underconfident.
 
     Parameters
     ----------
@@ -457,6 +457,12 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
                 if role == "validation" and channels is not table.one_step and verdict == "overconfident":
                     call = "predict" if channels is table.horizon else "simulate"
                     advice = f"The intervals of this result and of `{call}` in Python are already widened for this."
+                elif role == "validation" and channels is not table.one_step:
+                    call = "predict" if channels is table.horizon else "simulate"
+                    advice = (
+                        f"The intervals of this result and of `{call}` in Python are too wide by these factors: they "
+                        "are never narrowed."
+                    )
                 factors = [c.scale for c in channels.values() if c.verdict == verdict and c.scale is not None]
                 if min(factors, default=1.0) < LEAST_USEFUL_SCALE:
                     advice += (
@@ -1389,7 +1395,7 @@ def moving_boat_warnings(speeds: Mapping[str, float | None], has_force: bool) ->
         "The thrust is that of the moving boat, less than at rest, and mixed with its drag and inertia"
         if has_force
         else "The delay and the time constant of the shaft are those of the boat under way: with them, a boat model of "
-        "shaft speeds is exported with commands as inputs (seatrial ident export --thruster)"
+        "shaft speeds is exported with commands as inputs (`seatrial ident export BOAT --to python --thruster FILE`)"
     )
     text = (
         f"{_first_names(list(moving), MOST_NAMES)}: the boat moves (more than {moving[fastest]:.2g} m/s over ground in "

@@ -278,11 +278,22 @@ def campaigns_answer(result: CampaignsResult) -> str:
         sentences = ["No parameter could be compared."]
     elif changed or result.changed_combinations:
         found = [_combination_text(c) for c in result.changed_combinations]
+        # The coefficient alone misleads if a log has put its part of the sum into the other one.
+        split = _undetermined_splits(result, changed)
+        found = [
+            *(
+                f"{_combination_text(c)}, which is not significant (q = {c.q or 0.0:.2g})"
+                for c in split
+                if not c.changed
+            ),
+            *found,
+        ]
         found += [_change_text(p) for p in sorted(changed, key=lambda p: (not _is_of_sides(p), p.p or 0.0))]
         more = f" and {len(found) - MOST_NAMES} more" if len(found) > MOST_NAMES else ""
         words = "; ".join(found[:MOST_NAMES])
         words = f"T{words[1:]}" if words.startswith("the ") else words  # the name of a parameter keeps its letters
         sentences = [f"{words}{more}.", _counts_sentence(len(changed), len(tested), result, rate)]
+        sentences += [_split_sentence(c, result, changed) for c in split]
     else:
         n = len(result.combinations)
         rest = f", nor has {'a combination' if n == 1 else f'any of {n} combinations'} of them" if n else ""
@@ -335,6 +346,30 @@ def _counts_sentence(n_changed: int, n_tested: int, result: CampaignsResult, rat
     if n:
         parts.append(f"{n} of {counted(len(result.combinations), 'combination')} of parameters")
     return f"{' and '.join(parts)} {'has' if n_changed + n == 1 else 'have'} changed {rate}."
+
+
+def _undetermined_splits(
+    result: CampaignsResult, changed: Sequence[ParameterDifference]
+) -> list[CombinationDifference]:
+    """Return the combinations of which one parameter has changed while another one is at its bound in a log."""
+    bounded, names = _bounded(result), {p.name for p in changed}
+    return [c for c in result.combinations if bounded.keys() & set(c.parameters) and names & set(c.parameters)]
+
+
+def _bounded(result: CampaignsResult) -> dict[str, str]:
+    """Return the reasons of the parameters that are not compared because they are at a bound in a log, by name."""
+    return {p.name: p.reason for p in result.not_compared if p.code == "at-bound"}
+
+
+def _split_sentence(c: CombinationDifference, result: CampaignsResult, changed: Sequence[ParameterDifference]) -> str:
+    """Return the sentence that the logs determine a combination, and not how its parameters share the change."""
+    bounded = {n: reason for n, reason in _bounded(result).items() if n in c.parameters}
+    reasons = "; ".join(f"{n} is {reason}" for n, reason in bounded.items())
+    names = " and ".join(p.name for p in changed if p.name in c.parameters)
+    return (
+        f"How the {c.meaning} is split between {' and '.join(c.parameters)} is not determined: {reasons}. The change "
+        f"of {names} may contain that of {' and '.join(bounded)}; use the {c.meaning}."
+    )
 
 
 def _combination_text(c: Difference) -> str:

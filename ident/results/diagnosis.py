@@ -176,7 +176,9 @@ def diagnosis_result(
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
-    rounds, effects = tuple(_round_row(r) for r in diagnosis.rounds), _effect_rows(diagnosis, role)
+    rows = (_round_row(r) for r in diagnosis.rounds)
+    rounds = tuple(msgspec.structs.replace(r, why=_of_predicted_data(r.why, diagnosis)) for r in rows)
+    effects = _effect_rows(diagnosis, role)
     bench = diagnosis.after.fit.model.kind is ModelKind.BENCH
     answer, again = "", command_without_validation(made.command)
     if not failed:
@@ -350,7 +352,19 @@ def diagnosis_answer(
             f"Left out of the search (--exclude): {_joined_titles([e.title for e in diagnosis.excluded])}. If the data "
             f"contain {effect}, other effects or the disturbance forces stand for it."
         )
-    return " ".join(sentences)
+    return _of_predicted_data(" ".join(sentences), diagnosis)
+
+
+def _of_predicted_data(text: str, diagnosis: Diagnosis) -> str:
+    """Return a text with the name of the data that decide on an effect; it names them as those of validation logs.
+
+    Without validation logs these are the blocks of time of the estimation data, each predicted by a fit to the others.
+    """
+    if not diagnosis.cross_validated:
+        return text
+    return text.replace("the validation data", "the blocks of time").replace(
+        "The validation data", "The blocks of time"
+    )
 
 
 def _waves_sentence(frequency: float) -> str:
@@ -503,7 +517,7 @@ def _all_logs_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
     """
     of, runs = ("this thruster on the bench", "tests") if bench else ("the boat", "runs")
     if diagnosis.cross_validated:
-        return f"Give all logs of {of} as logs of the estimation; if there are no others, record longer {runs}."
+        return f"If there are further logs of {of}, add them to the estimation; otherwise record longer {runs}."
     command = f": `{again}`" if again else ""
     return (
         f"Next, diagnose all logs of {of} together, without --validate{command}. An effect is then fitted to all of "
@@ -1481,7 +1495,7 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
         notes += inertia_curve_notes([e.effect for e in diagnosis.effects])
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
-    return notes + _flag_notes(diagnosis.after.fit)
+    return [_of_predicted_data(note, diagnosis) for note in notes] + _flag_notes(diagnosis.after.fit)
 
 
 def inertia_curve_notes(effects: Iterable[Effect]) -> list[str]:

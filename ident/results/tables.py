@@ -899,7 +899,8 @@ def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[st
     if found is None or not found.candidates or not (grown := _error_growth(found, fit)):
         return []
     most = sorted((name for name, factor in grown.items() if factor >= LEAST_GROWTH), key=lambda n: -grown[n])
-    factors = ", ".join(f"{name} {grown[name]:.2g}" for name in most[:3])
+    labels = {name: parameter_label(p, fit) for name, p in zip(fit.names, fit.parameters, strict=True)}
+    factors = ", ".join(f"{labels[name]} {grown[name]:.2g}" for name in most[:3])
     return [
         f"{SCORES_PASS} {counted(len(found.candidates), 'effect')} may be missing, each of which would shift the "
         "estimates: `seatrial ident diagnose` searches for missing effects. The standard errors include this "

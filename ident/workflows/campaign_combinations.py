@@ -1,7 +1,7 @@
 """Combinations of parameters that belong together, such as the drag at a speed, in the logs of two campaigns.
 
-The linear and the quadratic damping of a fit are strongly correlated. Their sum at a typical speed of the logs is known
-much better than either of them, so that a change of the drag may show in the sum alone. A combination is a row of each
+The linear and the quadratic damping of a fit are strongly correlated. Their sum at a speed of the logs is known much
+better than either of them, so that a change of the drag may show in the sum alone. A combination is a row of each
 log, as a parameter is: its estimate, its standard error with the correlations of the parameters, and the parts of this
 error by priors. It is compared as the parameters are.
 """
@@ -20,8 +20,9 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.results import NotCompared, NotComparedCode
 from seatrial.ident.workflows.campaign_logs import MOST_PRIOR, FittedLogs, Row
 
-# Velocities at which a damping is given: the next of these below the typical one, times a power of ten
-PREFERRED = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
+# Velocities at which a damping may be given: one of these times a power of ten, not above the typical one
+PREFERRED = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
+SLOWEST = 0.3  # of the typical velocity: a damping at a slower one says little of a passage
 Reasons = Mapping[str, tuple[NotComparedCode, str] | None]
 # Values (n_parameters,) of one log -> value of the combination and its gradient (n_parameters,)
 Function = Callable[[Array], tuple[float, Array]]
@@ -122,43 +123,68 @@ def _is_determined(combination: Combination, fitted: FittedLogs) -> bool:
 def _damping(fitted: FittedLogs, damping: _Damping, reasons: Reasons) -> Combination | None:
     """Return the damping at a velocity that both campaigns reach; None with fewer than two estimated parameters.
 
+    The velocity is the one with the smallest relative standard error of the damping, from `SLOWEST` of the typical one
+    to that, and the fastest one of equal ones.
+
     A parameter at its bound in a log has no error there: its value is part of the sum, which the log determines anyway.
     """
     names = [n for n in fitted.names if n.partition("/")[0] in damping.powers]
     # All of them are ratios to the same quantity, or none is.
     divisors = {n.partition("/")[2] for n in names}
     usable = [n for n in names if (why := reasons[n]) is None or why[0] in ("fixed", "at-bound", "mainly-prior")]
-    velocity = _typical_velocity(fitted, damping.state)
+    typical = _typical_velocity(fitted, damping.state)
     known = [n for n in names if fitted.known(n).any()]
-    if velocity is None or len(known) < 2 or len(usable) < len(names) or len(divisors) > 1:
+    if typical is None or len(known) < 2 or len(usable) < len(names) or len(divisors) > 1:
         return None
-    weights = np.array([velocity ** damping.powers[n.partition("/")[0]] for n in names])
     divisor = divisors.pop()
-    shown = f"{math.degrees(velocity):.4g} deg/s" if damping.state == "r" else f"{velocity:.4g} m/s"
-    words = f"{damping.words} at {shown}{f' / {divisor}' if divisor else ''}"
-    unit = "" if divisor else damping.unit
-    return _combination(fitted, (words, words, unit), names, lambda x: (float(weights @ x), weights))
+
+    def at(velocity: float) -> Combination:
+        """Return the damping at a velocity."""
+        weights = np.array([velocity ** damping.powers[n.partition("/")[0]] for n in names])
+        shown = f"{math.degrees(velocity):.4g} deg/s" if damping.state == "r" else f"{velocity:.4g} m/s"
+        words = f"{damping.words} at {shown}{f' / {divisor}' if divisor else ''}"
+        unit = "" if divisor else damping.unit
+        return _combination(fitted, (words, words, unit), names, lambda x: (float(weights @ x), weights))
+
+    scale = math.degrees(1.0) if damping.state == "r" else 1.0
+    velocities = [v / scale for v in rounded_below(scale * typical, SLOWEST)]
+    return min((at(v) for v in velocities), key=_relative_error)
+
+
+def _relative_error(combination: Combination) -> float:
+    """Return the relative standard error of a combination, as the root mean square over the logs.
+
+    It does not depend on the difference between the campaigns, so that a choice by it favours no verdict. It is
+    infinite if a value is not positive, or if no log has one.
+    """
+    rows = [r for r in combination.rows if r is not None]
+    if not rows or any(r["value"] <= 0.0 for r in rows):
+        return math.inf
+    return math.sqrt(sum((r["se"] / r["value"]) ** 2 for r in rows) / len(rows))
 
 
 def _typical_velocity(fitted: FittedLogs, state: str) -> float | None:
-    """Return a velocity that both campaigns reach, rounded down to a preferred number; None if it is unknown or zero.
+    """Return a velocity that both campaigns reach [m/s, rad/s]; None if it is unknown or zero.
 
-    It is the smaller one of the medians over the logs of each campaign. Yaw rates [rad/s] are rounded in degrees.
+    It is the smaller one of the medians over the logs of each campaign.
     """
     values = [next(iter(rows.values())).get(f"{state}_typical") for rows in fitted.rows]
     if any(v is None for v in values):
         return None
     of_logs = np.array(values, dtype=float)
     typical = min(float(np.median(of_logs[part])) for part in (fitted.after, ~fitted.after))
-    if typical <= 0.0:
-        return None
-    return math.radians(rounded_down(math.degrees(typical))) if state == "r" else rounded_down(typical)
+    return typical if typical > 0.0 else None
 
 
-def rounded_down(value: float) -> float:
-    """Return the largest number of `PREFERRED`, times a power of ten, that is not above a positive value."""
+def rounded_below(value: float, share: float) -> list[float]:
+    """Return the numbers of `PREFERRED`, times powers of ten, between a share of a positive value and the value.
+
+    The largest one comes first. There is at least one, which may be below the share.
+    """
     power = 10.0 ** math.floor(math.log10(value))
-    return max((p for p in PREFERRED if p * power <= value * (1.0 + 1e-9)), default=1.0) * power
+    numbers = sorted((p * q for q in (power / 10.0, power) for p in PREFERRED), reverse=True)
+    below = [n for n in numbers if n <= value * (1.0 + 1e-9)]
+    return [n for n in below if n >= share * value] or below[:1]
 
 
 def _thrusts(fitted: FittedLogs, reasons: Reasons) -> tuple[list[Combination], list[NotCompared]]:

@@ -94,6 +94,7 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
     differences = {name: _difference(every, name) for name in (*names, *(c.name for c in found))}
     tests = _tests(differences, {n: _family(n, fitted.rows[0][n]) for n in names}, false_discovery_rate)
     parameters = tuple(_parameter(fitted, n, differences[n], tests[n]) for n in names)
+    effects = _effects(fitted, parameters, differences)
     combinations = tuple(
         CombinationDifference(parameters=c.parameters, **_compared(every, c.name, differences[c.name], tests[c.name]))
         for c in found
@@ -112,8 +113,8 @@ def compare_fits(fitted: FittedLogs, false_discovery_rate: float = FALSE_DISCOVE
         if why is not None
     )
     return Comparison(
-        parameters, combinations, (*not_compared, *without), _effects(fitted, parameters, differences), joint,
-        _common_factor(fitted, parameters, scatter), scatter, _notes(fitted, parameters, combinations),
+        parameters, combinations, (*not_compared, *without), effects, joint,
+        _common_factor(fitted, parameters, scatter), scatter, _notes(fitted, parameters, combinations, effects),
     )  # fmt: skip
 
 
@@ -385,13 +386,21 @@ def _common_factor(
 
 
 def _notes(
-    fitted: FittedLogs, parameters: Sequence[ParameterDifference], combinations: Sequence[CombinationDifference]
+    fitted: FittedLogs,
+    parameters: Sequence[ParameterDifference],
+    combinations: Sequence[CombinationDifference],
+    effects: Sequence[EffectDifference],
 ) -> tuple[str, ...]:
-    """Return remarks on what the comparison assumes, and on logs that were left out of single parameters."""
+    """Return remarks on what the comparison assumes, and on logs that were left out of single parameters.
+
+    A difference of the thrusts of both sides in some logs is left out if an effect for it is in neither campaign.
+    """
     priors = {p for rows in fitted.rows for r in rows.values() for p in json.loads(r["prior_parts"] or "{}")}
     held = sorted(priors - {p.name for p in parameters} - {SIDES})
     notes = []
-    if SIDES in priors:
+    known = catalogue()
+    of_sides = [e for e in effects if e.name in known and known[e.name].thrust_difference]
+    if SIDES in priors and (not of_sides or any(e.before or e.after for e in of_sides)):
         notes.append(
             "The thrusts of both sides differ in some logs. The standard errors of masses, damping and forces include "
             "that the motion does not show which side deviates from the given thrust. `seatrial ident vehicle` on the "
@@ -403,7 +412,6 @@ def _notes(
             f"The priors of {', '.join(held)} are the same for both campaigns. If one of these has changed, the change "
             "appears in other parameters."
         )
-    known = catalogue()
     weather = {e for p in parameters if (e := p.effect or "") in known and known[e].place == "environment"}
     if weather:
         notes.append(

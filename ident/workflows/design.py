@@ -392,19 +392,27 @@ def options_within_validity(made: Design) -> str:
     """Return the advice for a mission closer to the fitted data, without a full stop: ``... give --n-max 0.78``.
 
     The largest command is that of the thruster with the smallest range of its commands or shaft speeds, the speed is
-    the largest surge speed in the data; both are rounded down to two digits. Without known ranges, the options have no
-    numbers.
+    the largest surge speed in the data; both are rounded down to two digits. A limit that was given as strictly already
+    is left out, and the speed if the mission is not faster than the data. If none is left, the advice is a smaller
+    largest command than the given one.
     """
     model, known = made.problem.model, made.problem.validity
     channels = made.problem.actuation.channels
     commanded = [i.name for i in model.inputs if i.name.endswith(channels) and not i.unit]
     sizes = [max(map(abs, known[name])) for name in commanded if name in known]
     speeds = [max(map(abs, known[s.name])) for s in model.states if s.name == "u" and s.name in known]
-    limits = [
-        f"--n-max {np.floor(100.0 * min(sizes)) / 100.0:.2g}" if sizes else "a smaller --n-max",
-        *(f"--max-speed {np.floor(100.0 * v) / 100.0:.2g}" for v in speeds),
-    ]
-    return f"To stay nearer to the data, give {' or '.join(limits)}"
+    largest = made.problem.steps.n_max
+    limits = [f"--n-max {n:.2g}" for n in _rounded_down(sizes) if n < largest]
+    if any(beyond.startswith("u from ") for beyond in beyond_validity(made)):
+        given = made.problem.limits.speed
+        limits += [f"--max-speed {v:.2g}" for v in _rounded_down(speeds) if given is None or v < given]
+    smaller = f"a smaller --n-max than {largest:.2g}" if sizes else "a smaller --n-max"
+    return f"To stay nearer to the data, give {' or '.join(limits or [smaller])}"
+
+
+def _rounded_down(limits: Sequence[float]) -> list[float]:
+    """Return the smallest limit, rounded down to two digits after the point; no number without a limit."""
+    return [float(np.floor(100.0 * min(limits)) / 100.0)] if limits else []
 
 
 def designed_mission(
@@ -874,8 +882,11 @@ def _design_answer(
             f"{'' if apart.clear else longer_mission_advice(apart, made.problem.steps.duration)}"
             f"{_random_sequences_sentence(apart, made.problem.limits.bind)}"
         )
-        worse = baseline.value > least
-        return f"{answer}. {warn_worse_than_baseline(baseline, made.problem, 'T', least)}" if worse else answer
+        worse = is_larger(baseline.value, least)
+        if not worse:
+            return answer
+        warning = warn_worse_than_baseline(baseline, made.problem, "T", least)
+        return f"{answer}. {warning.removesuffix('.') if made.problem.limits.bind else warning}"
     parts = []
     rows = [p for p in parameters if p.chosen]
     for p in rows[:NAMED]:
@@ -886,9 +897,16 @@ def _design_answer(
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     duration = made.problem.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
-    if made.value >= baseline.value:
+    if not is_larger(baseline.value, made.value):
         return errors
-    return f"{warn_worse_than_baseline(baseline, made.problem, made.problem.criterion, made.value)} {errors}"
+    warning = warn_worse_than_baseline(baseline, made.problem, made.problem.criterion, made.value)
+    # A mission that keeps limits is no failure if it informs less than one that ignores them.
+    return f"{errors}. {warning.removesuffix('.')}" if made.problem.limits.bind else f"{warning} {errors}"
+
+
+def is_larger(criterion: float, than: float) -> bool:
+    """Return whether a criterion is larger than another one as the answer prints both: equal numbers are not."""
+    return criterion > than and format_number(criterion) != format_number(than)
 
 
 def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
@@ -921,11 +939,11 @@ def longer_mission_advice(apart: Discrimination, duration: float) -> str:
     if apart.twice is None:
         return f"{begin}: give a longer --duration"
     grown = f"the same mission run twice has a T of {format_number(apart.twice)}"
-    needed = reliable_duration(least, apart.twice, duration)
+    needed, instead = reliable_duration(least, apart.twice, duration), separating_experiment(first, second)
     if needed <= LONGEST_S:
         longer = 10.0 * np.ceil(needed / 10.0)
-        return f"{begin}, and {grown}: give --duration {longer:.0f} ({longer / 60.0:.0f} min) or more"
-    instead = separating_experiment(first, second)
+        long = f"{begin}, and {grown}: give --duration {longer:.0f} ({longer / 60.0:.0f} min) or more"
+        return f"{long}. A diagnosis recommends no mission for this pair, but this: {instead}" if instead else long
     instead = f"What distinguishes them is this: {instead}" if instead else (
         "Other conditions may: a day on which one of them is larger or absent, or a measurement of one of them"
     )  # fmt: skip
@@ -987,14 +1005,15 @@ def warn_worse_than_baseline(baseline: BaselineSignal, problem: DesignProblem, c
     """
     limits = problem.limits
     begin = (
-        "A random sequence that ignores the limits is better than the designed mission, which keeps them"
+        "The limits cost information: a random sequence that ignores them is better than the designed mission, which "
+        "keeps them"
         if limits.bind
         else "The designed mission is worse than a random sequence"
     )
     given = {"--area": limits.area, "--max-speed": limits.speed, "--energy": limits.energy}
     wider = [name for name, value in given.items() if value is not None]
     keep = (
-        f" If that changes little, the limits cost this information: give a larger {' or '.join(wider)}, or a longer "
+        f" If that changes little and you need more information, give a larger {' or '.join(wider)}, or a longer "
         "--duration."
         if wider
         else " If that changes little, give other --steps or a longer --duration."
@@ -1036,7 +1055,7 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     won = ""
     if result.share_won is not None:
         share = f"{100 * result.share_won:.1f} % of 1000 parameter samples"
-        won = f"; the design is better than the best PRBS and RGS in {share}"
+        won = f"; the design is better than the best PRBS and RGS{free.replace(',', '')} in {share}"
     lines.append(f"{result.criterion} {result.value:.1f}; {gain}{won}")
     track = result.track
     if track is not None and track.inside is not None:

@@ -30,6 +30,11 @@ if TYPE_CHECKING:
     from seatrial.ident.model import Model, Parameter
 
 MODEL, RESULT, ESTIMATES = "model.toml", "result.json", "fits.parquet"
+# What the fields are for that only results of fits have
+OF_FITS = {
+    "traces": "figure", "residuals": "residual tests", "horizon_seconds": "prediction errors",
+    "converged": "search for a maximum of the likelihood",
+}  # fmt: skip
 ENDING_OF_FILES = re.compile(r"\.[A-Za-z]\w{0,4}")  # .txt, not that of a folder as boat.2 or run.2026-05-01
 NEED_LOGS = ("residuals", "predict", "simulate", "plot_residuals", "fitted")  # attributes of a fit of this process
 SHORTEST_STEP = 1e-5  # s between two times of a simulation; closer ones would be one row
@@ -226,8 +231,18 @@ class Saved(MotionMethods, Shown):
 
     def _require_fit(self, field: str) -> None:
         """Raise SeatrialError if the loaded result lacks a field, which every result of a fit has."""
-        if not hasattr(self.result, field):
+        if hasattr(self.result, field):
+            return
+        if self.result is None:
             raise SeatrialError(f"{self.path}: no {RESULT} of a fit was loaded; load the folder that contains it")
+        kind = self.result.__struct_config__.tag
+        folder = self.path if self.path.is_dir() else self.path.parent
+        page = folder / "report.html"
+        figures = f"; its figures are in {page}" if page.is_file() else ""
+        raise SeatrialError(
+            f"{self.path}: a result of the kind {kind!r} has no {OF_FITS[field]} in Python; summary() returns its "
+            f"tables{figures}"
+        )
 
     def residual_tests(self, on: Role = "estimation") -> Any:
         """Return the tests of the residuals as a ``pandas.DataFrame``, as `FittedVehicle.residual_tests`.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from seatrial.ident.data import LoadedLog, TimeWindow
 
 PathLike = str | Path
-SHOWN = 12  # signals in the short description of a log
+SHOWN = 16  # signals in the short description of a log
 # Signals by other names, beside those that an import recognises
 ALIASES = {"roll": "phi", "pitch": "theta", "speed": "u"}
 
@@ -130,7 +130,7 @@ class Log(Shown, Mapping[str, Signal]):
         return Content(answer, (), ("signal", "unit", "samples", "rate [Hz]"), rows)
 
     def __repr__(self) -> str:
-        """Return a short text for the interpreter: file name, duration and the names of the first 12 signals."""
+        """Return a short text for the interpreter: file name, duration and the names of the first 16 signals."""
         names = list(self.signals)
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         return f"<Log {self.path.name}: {self.duration:.1f} s, {len(names)} signals: {', '.join(names[:SHOWN])}{more}>"

@@ -502,6 +502,11 @@ def design(
     SeatrialError
         If the model or an option cannot be used, or if a file exists and ``force`` is false.
 
+    Notes
+    -----
+    A design takes some 20 s for a structure without limits, and several minutes for a fitted model with many effects
+    and an area. ``progress=True`` prints how long the search still takes.
+
     Examples
     --------
     >>> st.design(fit, "next.toml", duration=300.0, area=(60.0, 40.0)).answer

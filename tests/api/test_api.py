@@ -301,6 +301,10 @@ def test_signals_of_a_log(logs: list[Path]) -> None:
     log = st.open_log(logs[0])
     assert repr(log).startswith("<Log run1.mcap: 100.0 s, 19 signals: x, y,")
     assert log["psi"].unit == "rad"
+    few = replace(log, signals={f"s{k}": log["psi"] for k in range(16)})
+    assert repr(few).endswith(", s14, s15>")  # no name is hidden
+    many = replace(log, signals={f"s{k}": log["psi"] for k in range(17)})
+    assert repr(many).endswith(", s15 and 1 more>")
     assert repr(log["psi"]) == "<Signal psi [rad]: 5001 samples, 50 Hz>"
     frame = log.to_pandas()
     assert frame["psi"].dropna().to_numpy() == pytest.approx(log["psi"].value)

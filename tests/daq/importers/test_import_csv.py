@@ -678,3 +678,17 @@ def test_mistakes_in_the_numbers_of_the_boat_are_told_together(tmp_path: Path) -
     assert "unknown key 'lever_arm'; did you mean 'lever_arm_m'?" in message
     assert "also unknown: 'width'" in message
     assert message.endswith("scale.c2_sd: is the standard uncertainty of c2; give c2 too")
+
+
+def test_the_page_has_each_key_that_the_message_of_a_wrong_one_names(tmp_path: Path) -> None:
+    """The message named mass_sd, which no page had."""
+    signal = '[[signal]]\ntime = "t"\ncolumn = "x"\nname = "psi"\nunit = "rad"\n'
+    text = f'format = "seatrial-import 1"\n[geometry]\nwidth = 0.7\n{signal}'
+    with pytest.raises(SeatrialError, match=r"geometry.width: unknown key") as raised:
+        parse_import_map(text, tmp_path / "map.toml")
+    known = re.search(r"geometry\.width: unknown key.*? here: ([\w, ]+)", str(raised.value))
+    assert known is not None
+    page = (EXAMPLES.parent / "formats/import.md").read_text(encoding="utf-8")
+    keys = known[1].split(", ")
+    assert "mass_sd" in keys
+    assert [key for key in keys if not re.search(rf"\b{key}\b", page)] == []

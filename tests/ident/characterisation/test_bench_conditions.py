@@ -108,7 +108,7 @@ def test_speed_comes_from_the_best_signal_of_the_log() -> None:
     assert moving_boat_warnings({"a": None, "b": 0.1}, has_force=True) == []
     (warning,) = moving_boat_warnings({"a": None, "b": 0.5}, has_force=False)
     assert warning.text.startswith("b: the boat moves")
-    assert "seatrial ident export --thruster" in warning.text  # the use of such a model
+    assert "`seatrial ident export BOAT --to python --thruster FILE`" in warning.text  # the use of such a model
 
 
 def test_shaft_contradicts_a_dead_zone_only_if_it_turns_steadily_inside() -> None:

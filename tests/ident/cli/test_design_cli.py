@@ -286,12 +286,31 @@ def test_a_design_that_is_worse_says_what_to_do(limits: DesignLimits, advice: st
     problem: Any = SimpleNamespace(limits=limits)
     baseline: Any = SimpleNamespace(kind="PRBS", value=63.0)
     text = warn_worse_than_baseline(baseline, problem, "D", 60.0)
-    begin = "A random sequence that ignores the limits is better than the designed mission, which keeps them"
-    begin = begin if limits.bind else "The designed mission is worse than a random sequence"
+    begin = "The designed mission is worse than a random sequence"
+    if limits.bind:
+        begin = (
+            "The limits cost information: a random sequence that ignores them is better than the designed mission, "
+            "which keeps them"
+        )
     assert text.startswith(
         f"{begin}: the D criterion of the mission is 60, that of the best random sequence (a PRBS) 63. "
     )
     assert text.endswith(advice)
+
+
+@pytest.mark.parametrize(("value", "worse"), [(48.0, True), (51.96, False), (53.0, False)])
+def test_a_design_with_limits_says_first_what_it_achieves(value: float, worse: bool) -> None:
+    """Random sequences that ignore the limits came first, also if both criteria were printed as 52."""
+    problem: Any = SimpleNamespace(
+        limits=DesignLimits(area=(40.0, 40.0)), criterion="D", steps=SimpleNamespace(duration=240.0)
+    )
+    made: Any = SimpleNamespace(problem=problem, value=value)
+    baseline: Any = SimpleNamespace(kind="PRBS", value=52.0)
+    row: Any = SimpleNamespace(name="m_u", chosen=True, after=1.3, value=25.0, unit="kg")
+    answer = _design_answer(made, [row], None, baseline)
+    assert answer.startswith("After this mission of 240 s the expected standard errors are m_u ±1.3 kg (5.2 %)")
+    assert ("(5.2 %). The limits cost information: a random sequence that ignores them is better" in answer) == worse
+    assert not answer.endswith(".")  # the sentence on the area follows
 
 
 def test_the_help_of_the_area_says_that_a_boat_may_leave_it(capsys: pytest.CaptureFixture[str]) -> None:
@@ -464,7 +483,7 @@ def test_a_discrimination_says_that_random_sequences_are_enough(
     answer = _design_answer(made, [], apart, baseline)
     assert "worse than" not in answer
     baseline.value = 190.0  # T, as that of the design
-    worse = "A random sequence that ignores the limits is better than" if limited else "The designed mission is worse"
+    worse = "The limits cost information: a random" if limited else "The designed mission is worse"
     same = answer.replace("sequences: 90)", "sequences: 190)")
     assert _design_answer(made, [], apart, baseline).startswith(f"{same}. {worse}")
     assert ": the T criterion of the mission is 150, that of the best random" in _design_answer(
@@ -472,6 +491,8 @@ def test_a_discrimination_says_that_random_sequences_are_enough(
     )
     assert words in answer
     assert ("already distinguish them" in answer) == bool(words)
+    # The sentence on the area begins with a full stop.
+    assert _design_answer(made, [], apart, baseline).endswith("--duration.") != limited
 
 
 @pytest.mark.parametrize(
@@ -480,6 +501,11 @@ def test_a_discrimination_says_that_random_sequences_are_enough(
         (("delay", "lag"), 10.0, "the same mission run twice has a T of 10: give --duration 1560 (26 min) or more"),
         (("delay", "lag"), 5.5, "so that even an hour of such missions is not enough. Other conditions may: a day on"),
         (("delay", "lag"), 5.0, "so that even an hour of such missions is not enough."),
+        (
+            ("wind", "steady-pull"),
+            10.0,
+            "(26 min) or more. A diagnosis recommends no mission for this pair, but this: mea",
+        ),
         (("wind", "steady-pull"), 5.5, "not enough. What distinguishes them is this: measure the wind (an anemom"),
     ],
 )
@@ -557,13 +583,26 @@ def test_a_mission_beyond_the_data_says_what_follows_and_the_limits_that_prevent
     made: Any = SimpleNamespace(
         problem=task, command=task.actuation.limited(levels[:, :, None], durations[:, None])[:, :, 0]
     )
-    (text,) = [w.text for w in _design_warnings(made) if w.code == "beyond-validity"]
+
+    def warning() -> str:
+        """Return the text of the warning."""
+        (text,) = [w.text for w in _design_warnings(made) if w.code == "beyond-validity"]
+        return text
+
+    text = warning()
     assert text.startswith("The mission goes beyond the data that the model was fitted to: n_left from ")
     assert "(data: -0.4 to 0.5)" in text
     assert "the boat may move faster and farther than predicted, and the promised numbers may not hold." in text
     assert text.endswith(
         "To stay nearer to the data, give --n-max 0.45 or --max-speed 0.84, or leave more room around the track."
     )
+    # A limit that was given, or that nothing exceeds, is no advice.
+    made.problem = replace(task, limits=DesignLimits(speed=0.84), validity=narrow)
+    assert "To stay nearer to the data, give --n-max 0.45, or leave" in warning()
+    made.problem = replace(task, steps=replace(task.steps, n_max=0.45), validity=narrow)
+    assert "To stay nearer to the data, give --max-speed 0.84, or leave" in warning()
+    made.problem = replace(made.problem, validity={**narrow, "u": (-9.0, 9.0)})
+    assert "To stay nearer to the data, give a smaller --n-max than 0.45, or leave" in warning()
 
 
 def test_the_page_of_a_mission_begins_with_its_headline(designed: tuple[Path, str, str]) -> None:

@@ -68,8 +68,8 @@ FELL, ROSE = PredictionChange(0.7, 0.6, 0.8, 10.0, {}), PredictionChange(1.3, 1.
 
 
 def blank(**more: Any) -> Any:
-    """Return a stand-in for a fitted model that has only the given fields."""
-    return cast(Any, type("FakeFit", (), {"fit": None, **more})())
+    """Return a stand-in for a fitted model that has only the given fields, and logs of validation."""
+    return cast(Any, type("FakeFit", (), {"fit": None, "cross_validated": False, **more})())
 
 
 def fitted_boat() -> Any:
@@ -442,7 +442,7 @@ def test_a_diagnosis_with_validation_that_adds_nothing_names_that_of_all_logs() 
     assert "together, without --validate. An effect" in diagnosis_answer(found, None, 10.0)  # from Python
     every = replace(found, after=blank(cross_validated=True))
     answer = diagnosis_answer(every, None, 10.0)
-    assert "Give all logs of the boat as logs of the estimation; if there are no others, record longer runs." in answer
+    assert "If there are further logs of the boat, add them to the estimation; otherwise record longer runs." in answer
     assert "without --validate:" not in answer
 
 
@@ -470,12 +470,17 @@ def test_a_curve_of_two_velocities_is_told_once_and_has_a_page() -> None:
     found = Diagnosis(blank(), blank(cross_validated=False), (Round((score,), (), (of_curve,), None),), (), ())
     answer = diagnosis_answer(found, None, 10.0)
     said = (
-        f"no candidate improves the prediction: {title} explains a part of the residuals one step ahead (the "
-        "log-likelihood of the validation data rises by 14, t = 2.6), but the prediction is no better with it."
+        "no candidate improves the prediction: a curve by which the yaw moment N depends on v, r explains a part of "
+        "the residuals one step ahead (the log-likelihood of the validation data rises by 14, t = 2.6), but "
+        "the prediction is no better with it."
     )
     page = f"What an unexplained {name} means, and what to do: documentation, Theory, Diagnosis, section 11."
     assert said in answer
     assert answer.endswith(page)
+    # Without validation logs, blocks of time decide.
+    blocks = diagnosis_answer(replace(found, after=blank(cross_validated=True)), None, 10.0)
+    assert "(the log-likelihood of the blocks of time rises by 14, t = 2.6), but the prediction" in blocks
+    assert "the validation data" not in blocks
     assert answer.count("no better") == answer.count("log-likelihood") == 1
     assert "is not among them" not in answer
     headings = (Path(__file__).parents[3] / "docs/theory/diagnosis.md").read_text(encoding="utf-8").splitlines()

@@ -22,11 +22,13 @@ from fmpy.validation import validate_fmu
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.cli.commands import ident
+from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.export import fmu
 from seatrial.ident.export.codegen import collect_content
 from seatrial.ident.export.formats import export
 from seatrial.ident.export.model_description import base_exponents, variables
 from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.export.test_simulation import COMMAND, SHAFT, initial, samples
 from tests.ident.exported import KNOWN_SCALE, MODELS, compiler, saved, simulate_python
 from tests.test_docs import ROOT, blocks
@@ -156,6 +158,25 @@ def test_motion_equals_that_of_the_python_export(folder: Path, name: str, dt: fl
     wanted, measured = simulate_python(text, initial(model), values[0], values, dt, "zero")
     np.testing.assert_allclose(states, wanted, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(outputs, measured[1:], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")  # the slope at zero thrust
+def test_thrusts_as_inputs_give_the_motion_of_the_python_export(tmp_path: Path) -> None:
+    """The loss of thrust with advance ratio needs the shaft speed, which both compute from the thrust."""
+    compiler()
+    model = (horizontal_model() + catalogue()["advance-ratio"]).with_values(
+        {"c1": 40.0, "c2": 1.5, "y_left": -0.3, "y_right": 0.3, "k_J": 6.0}
+    )
+    path = tmp_path / "boat.fmu"
+    path.write_bytes(exported(model, thrust_input=True))
+    found = fmpy.simulate_fmu(
+        str(path), stop_time=3.0, step_size=0.1, output_interval=0.1, start_values={"f_left": 12.0, "f_right": -5.0}
+    )
+    text = export(saved(model), "python", nuisance=True, thrust_input=True)
+    thrusts = np.tile([12.0, -5.0], (30, 1))
+    wanted, _ = simulate_python(text, np.zeros(6), thrusts[0], thrusts, 0.1, "zero")
+    for k, name in enumerate(("x", "y", "psi", "u", "v", "r")):
+        assert found[name][-1] == pytest.approx(wanted[-1, k], rel=1e-9)
 
 
 def test_simulate_fmu_gives_the_motion_of_the_python_export(folder: Path) -> None:

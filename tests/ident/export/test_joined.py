@@ -297,6 +297,46 @@ def test_model_with_thrust_input_has_the_same_motion_and_a_slope_at_rest() -> No
     np.testing.assert_allclose(slopes[1][3], 1.0 / model.values["m_u"])
 
 
+def test_slope_by_a_thrust_is_right_if_an_effect_needs_the_shaft_speed(tmp_path: Path) -> None:
+    """The shaft speed is an inverse with a branch for each direction. Neither branch has a slope outside its own."""
+    hull = boat(d_u=8.0)
+    model = (hull + catalogue()["advance-ratio"]).with_values({"k_J": 6.0})
+    with pytest.warns(SeatrialWarning, match="infinite at zero thrust"):
+        texts = {t: str(export(saved(model), t, name="boat", thrust_input=True)) for t in ("casadi", "python", "c")}
+    solver: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(texts["casadi"], "boat.py", "exec"), solver)
+    f, p = solver["f"], solver["DEFAULTS"]
+    x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
+    slope = ca.Function("J", [x, u], [ca.jacobian(f(x, u, p), u)])
+    curvature = ca.Function("H", [x, u], [ca.hessian(ca.sum1(f(x, u, p)), ca.vertcat(x, u))[0]])
+    moving = np.array([0.0, 0.0, 0.3, 0.5, 0.05, 0.1])
+    for thrust in ((5.0, 5.0), (-5.0, -5.0), (15.0, -3.0), (0.3, 0.4), (0.01, -0.01)):
+        wanted = np.zeros((6, 2))
+        for k, h in enumerate(1e-4 * np.abs(thrust)):
+            step = h * np.eye(2)[k]
+            ends = [np.array(f(moving, np.add(thrust, sign * step), p)).ravel() for sign in (1.0, -1.0)]
+            wanted[:, k] = (ends[0] - ends[1]) / (2.0 * h)
+        np.testing.assert_allclose(np.array(slope(moving, thrust)), wanted, rtol=1e-5, atol=1e-8)
+        assert np.isfinite(np.array(curvature(moving, thrust))).all()
+    for at in (np.zeros(6), moving):  # without a slope of its own at zero thrust, but a finite one
+        assert np.isfinite(np.array(slope(at, np.zeros(2)))).all()
+        assert np.isfinite(np.array(curvature(at, np.zeros(2)))).all()
+
+    with_speeds = str(export(saved(model), "python"))
+    speeds = commands(40)
+    thrusts = 40.0 * speeds * abs(speeds) + 1.5 * speeds**2
+    wanted, _ = simulate_python(with_speeds, np.zeros(6), np.zeros(2), speeds, 0.1, "zero")
+    in_python, _ = simulate_python(texts["python"], np.zeros(6), np.zeros(2), thrusts, 0.1, "zero")
+    np.testing.assert_allclose(in_python, wanted, rtol=1e-3, atol=1e-5)
+    without, _ = simulate_python(str(export(saved(hull), "python")), np.zeros(6), np.zeros(2), speeds, 0.1, "zero")
+    assert np.abs(without - wanted).max() > 0.01  # the effect shows
+    in_casadi, _ = simulate_casadi(texts["casadi"], np.zeros(6), np.zeros(2), thrusts, 0.1, "zero")
+    np.testing.assert_allclose(in_casadi, in_python, rtol=1e-10, atol=1e-12)
+    run = build_c_simulation(texts["c"].replace("NAME_init", "x"), tmp_path, "boat")
+    rows = run(np.zeros(6), [0.0, 0.0], [[0.1, *row] for row in thrusts], "zero")
+    np.testing.assert_allclose(np.array(rows)[:, -7:-1], in_python, rtol=1e-9, atol=1e-10)
+
+
 def test_thrust_input_in_c(tmp_path: Path) -> None:
     text = export(saved(boat()), "c", name="boat", thrust_input=True)
     assert "boat_in_f_left" in text
@@ -328,7 +368,9 @@ def test_thrust_input_refuses_models_without_shaft_speeds() -> None:
     refuse(
         boat() + catalogue()["battery-sag"], "the effect battery-sag depends on the energy that the shafts have used"
     )
-    with pytest.warns(SeatrialWarning, match="slope by the thrust is infinite at rest"):
+    with pytest.warns(
+        SeatrialWarning, match="slope by the thrust is infinite at zero thrust.* limit of its iterations"
+    ):
         with_thrust_input(collect_content(saved((boat() + catalogue()["advance-ratio"]).with_values({}))))
 
 

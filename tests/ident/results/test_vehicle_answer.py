@@ -70,6 +70,7 @@ from seatrial.ident.results.parts import (
 from seatrial.ident.results.tables import (
     cross_rows,
     format_number,
+    model_uncertainty_notes,
     prediction_change,
     residual_row,
     sides_compare_mass,
@@ -139,6 +140,17 @@ def test_the_answer_names_the_strongest_candidate_of_the_score_tests() -> None:
     )
     assert "m_v differs between the runs:" in candidate_sentence(replace(none, strongest="between-runs:m_v"))
     assert "`st.diagnose`" in in_python(text)
+
+
+def test_the_note_on_missing_effects_names_a_value_of_one_log_as_the_tables_do() -> None:
+    """The note had V_y@1 and the table V_y@spring_1, which is the number 0."""
+    found = ModelUncertainty(("m_u", "V_y@1"), ("wind",), np.zeros((1, 2)), np.diag([0.0, 3.0]), 0.1, np.zeros(2))
+    rows = (SimpleNamespace(name="m_u", segment=None), SimpleNamespace(name="V_y", segment=1))
+    fit: Any = SimpleNamespace(
+        names=("m_u", "V_y@1"), errors=np.array([1.0, 2.0]), parameters=rows, records=("spring_1", "spring_2")
+    )
+    (note,) = model_uncertainty_notes(found, fit)
+    assert note.endswith("it increases them most by these factors: V_y@spring_2 2.")
 
 
 def made_of(*logs: tuple[str, str | None]) -> Provenance:

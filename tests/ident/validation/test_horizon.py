@@ -190,7 +190,10 @@ def test_notes_contain_the_horizon() -> None:
     loose = structs.replace(row, scale=0.6, verdict="underconfident")
     wide = CalibrationTable(one_step={}, horizon={"n": loose}, simulation={})
     (line,) = calibration_notes(Calibrations(estimation=tables, validation=wide), 2.5)
-    assert line.endswith("shaft speed 0.6. Multiply the predicted standard deviations of these channels by them.")
+    assert line.endswith(
+        "0.6. The intervals of this result and of `predict` in Python are too wide by these factors: they are never "
+        "narrowed."
+    )
     useless = CalibrationTable(one_step={}, horizon={"n": structs.replace(loose, scale=0.02)}, simulation={})
     (line,) = calibration_notes(Calibrations(estimation=tables, validation=useless), 2.5)
     assert line.endswith("does not tell the error: use the table of errors for these channels.")

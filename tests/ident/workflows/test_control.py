@@ -130,7 +130,10 @@ def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:
     """The page states that zero is a stationary point of the optimisation with shaft speeds."""
     code = blocks(PAGE, "python")[5]
     for old, new in (
-        ("boat_casadi import DEFAULTS, make_step, shaft_speed", "shafts_casadi import DEFAULTS, make_step"),
+        (
+            "boat_casadi import DEFAULTS, STATES, make_step, shaft_speed",
+            "shafts_casadi import DEFAULTS, STATES, make_step",
+        ),
         ("LIMIT = 0.2, 25, 38.0", "LIMIT = 0.2, 25, 1.0"),
         ("[shaft_speed(force) for force in found.value(f)[:, 0]]", "found.value(f)[:, 0]"),
         ("range(75)", "range(3)"),
@@ -139,6 +142,28 @@ def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:
         assert old in code
         code = code.replace(old, new)
     assert run(code, folder) == "shaft speeds: x = 0.0 m, y = 0.0 m\n"
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")  # the slope at zero thrust
+def test_mpc_takes_a_boat_with_more_states_whose_effect_needs_the_shaft_speed(folder: Path) -> None:
+    """The loss of thrust with advance ratio is a common error, which most fitted boats have."""
+    values = {"k_J": 4.0, "dev_f1s": 0.03, "dev_f1c": 0.02, "T_head": 2.0}
+    rows = "".join(f'[[parameter]]\nname = "{n}"\nvalue = {v}\nfree = false\n' for n, v in values.items())
+    text = (folder / "boat/model.toml").read_text(encoding="utf-8")
+    effects = 'effects = ["compass-filtered", "advance-ratio"]'
+    (folder / "losing.toml").write_text(text.replace("effects = []", effects) + rows, encoding="utf-8")
+    bench = ("--thruster", folder / "thruster/model.toml", "--force")
+    for name, options in (("losing", ("python", *bench)), ("losing_casadi", ("casadi", "--thrust-input"))):
+        words = ["export", folder / "losing.toml", "--name", name, "-o", folder / f"{name}.py", "--to", *options]
+        ident.main([str(w) for w in words], standalone_mode=False)
+    code = blocks(PAGE, "python")[5]
+    for old, new in (("import plant", "import losing as plant"), ("boat_casadi", "losing_casadi")):
+        assert old in code
+        code = code.replace(old, new)
+    found = re.search(r"x = (\S+) m, y = (\S+) m", run(f"{code}\nassert len(names) == 7", folder))
+    assert found
+    assert float(found[1]) == pytest.approx(4.0, abs=0.2)
+    assert float(found[2]) == pytest.approx(2.0, abs=0.2)
 
 
 def test_mpc_of_commands_needs_a_guess_that_is_not_zero(folder: Path) -> None:
