@@ -166,7 +166,7 @@ def test_the_reader_needs_every_key_that_the_schema_requires(kind: str) -> None:
         ('"vectornav"', '"vectornaw"'),
         ("speed = 20.0", "speed = 0.0"),
         ("n_max = 1.0", "n_max = 1.5"),
-        ("[-0.25, -0.15, 0.0]", "[-0.25, -0.15]"),
+        ("[-0.55, -0.15, 0.0]", "[-0.55, -0.15]"),
         ('name = "gnss"', 'name = "G/1"'),
         ("baud = 38400", "baud = 38400\nbitrate = 500000"),  # a key of another protocol
         ("timeout_s = 0.3", "timeout_s = 30.0"),

@@ -246,7 +246,7 @@ def test_help_has_an_example(words: tuple[str, ...]) -> None:
 
 def test_a_mock_boat_says_where_its_geometry_differs_from_that_of_the_rig(tmp_path: Path) -> None:
     path = packaged("boat", tmp_path)
-    text = path.read_text(encoding="utf-8").replace("[-0.25, -0.15, 0.0]", "[-0.25, -0.3, 0.0]")
+    text = path.read_text(encoding="utf-8").replace("[-0.55, -0.15, 0.0]", "[-0.55, -0.3, 0.0]")
     text = text.replace("lever_arm_m = [0.0, 0.0, 0.0]", "lever_arm_m = [0.4, 0.0, -0.5]")
     path.write_text(text, encoding="utf-8")
     command = seatrial("mock", "boat", path)

@@ -40,7 +40,7 @@ def wired_wrongly(folder: Path) -> None:
     text = text.replace('name = "left"', 'name = "was_left"').replace('name = "right"', 'name = "left"')
     (folder / "wrong.toml").write_text(text.replace('name = "was_left"', 'name = "right"'), encoding="utf-8")
     exchanged = (folder / "wrong.toml").read_text(encoding="utf-8")
-    left_position, right_position = "[-0.25, -0.15, 0.0]", "[-0.25, 0.15, 0.0]"
+    left_position, right_position = "[-0.55, -0.15, 0.0]", "[-0.55, 0.15, 0.0]"
     exchanged = (
         exchanged.replace(left_position, "PLACE")
         .replace(right_position, left_position)

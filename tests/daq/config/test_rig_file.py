@@ -39,7 +39,7 @@ def test_the_documented_rig_is_read(example: str, tmp_path: Path) -> None:
     assert cell.calibration.force(84210.0 + 5000.0) == pytest.approx(5.0)
     np.testing.assert_allclose(cell.calibration.force(np.array([84210.0, 83210.0])), [0.0, -1.0])
     left = rig.thruster("left")
-    assert (left.device, left.node, left.position_m, left.reversed) == ("esc", 1, (-0.25, -0.15, 0.0), False)
+    assert (left.device, left.node, left.position_m, left.reversed) == ("esc", 1, (-0.55, -0.15, 0.0), False)
     assert (rig.limits.force_n, rig.limits.radius_m, rig.vehicle) == (80.0, 200.0, {"m_u": 37.0})
 
 
@@ -80,7 +80,7 @@ def test_absolute_and_socketcan_ports_are_not_changed(example: str) -> None:
             'device = "ahrs"',
             r"thruster\[1\].device: the rig has no device 'ahrs' of protocol vesc or dronecan or mavlink",
         ),
-        ("[-0.25, -0.15, 0.0]", "[-0.25, -0.15]", r"position_m: must have 3 numbers, not 2"),
+        ("[-0.55, -0.15, 0.0]", "[-0.55, -0.15]", r"position_m: must have 3 numbers, not 2"),
         ("n_max = 1.0", "n_max = 1.5", r"limits\.n_max: must be within 0\.0 \.\. 1\.0"),
         ('["pitch_deg"]', '["unwatched"]', r"limits\.unwatched: 'unwatched' is not a limit"),
         ("[limits]", "[limit]", r"limit: unknown key 'limit'; did you mean 'limits'\? Known here: format, name"),

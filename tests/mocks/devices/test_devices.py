@@ -193,7 +193,7 @@ def test_a_command_on_a_closed_channel_is_ignored() -> None:
 
 
 def test_rigs_that_no_mock_can_serve() -> None:
-    one_sided = packaged("boat", **{"[-0.25, 0.15, 0.0]": "[-0.25, -0.16, 0.0]"})
+    one_sided = packaged("boat", **{"[-0.55, 0.15, 0.0]": "[-0.55, -0.16, 0.0]"})
     with pytest.raises(SeatrialError, match="two thrusters"):
         by_side(one_sided)
     native = packaged("boat", **{"slcan:ports/can": "socketcan:can0"})
