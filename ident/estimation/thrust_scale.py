@@ -196,7 +196,7 @@ def scaled_to_ahead(model: Model, fit: Fit, ahead: float, sd: float = 0.0) -> Mo
     Model
         Model in which c1 is known, so that c1 + c2 is the given thrust with the c2 of the fit. Free parameters begin at
         their estimates. Those in units of force or mass are multiplied by the same factor as c1. The built-in prior of
-        c2 follows c1.
+        c2 follows c1; with an uncertain c1 its mean is the c2 of the fit.
     """
     (c1, _), (c2, _) = fit.estimate("c1"), fit.estimate("c2")
     factor = ahead / (c1 + c2)
@@ -209,7 +209,8 @@ def scaled_to_ahead(model: Model, fit: Fit, ahead: float, sd: float = 0.0) -> Mo
     mean = model.parameter("c1").known(factor * c1, factor * c1 / ahead * sd, origin)
     half = model.parameter("c2").at(factor * c2)
     if half.origin is BUILT_IN:
-        half = replace(half, prior=(0.0, ASYMMETRY * mean.value))
+        # With an uncertain c1, a prior around zero would pull both down: the motion fixes their ratio.
+        half = replace(half, prior=(half.value if sd else 0.0, ASYMMETRY * mean.value))
     return model.replace_parameters(mean, half, *new)
 
 
