@@ -240,16 +240,23 @@ def _meant(name: str, possible: Mapping[str, Effect]) -> str:
     return f"did you mean {' or '.join(questions)}? " if questions else ""
 
 
-def _effect_form_for_model(model: Model, name: str) -> Effect:
+def _effect_form_for_model(model: Model, name: str | Effect) -> Effect:
     """Return the effect of the catalogue with this name, in the form that the model accepts.
 
     All forms of an effect have the same first parameter, by which they are found. If the model accepts several forms,
-    the first one in the catalogue is returned. SeatrialError is raised if there is
-    no such effect, if the model has its first parameter already, or if the model accepts no form.
+    the first one in the catalogue is returned. SeatrialError is raised if the name is a file or an effect itself, if
+    there is no such effect, if the model has its first parameter already, or if the model accepts no form.
     """
     known = _effects_by_name()
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
+    if isinstance(name, Effect) or name.endswith(".py"):
+        shown = name.name if isinstance(name, Effect) else name
+        raise SeatrialError(
+            f"--effect {shown}: takes the name of an effect of the catalogue or of an installed package "
+            "(documentation: Add an effect); a file with an effect is an option of a diagnosis (--effects FILE.py), "
+            "and a fit takes a model of your own (--model FILE.py:NAME)"
+        )
     if name not in known:
         meant = _meant(name, possible)
         others = "" if meant else f"model {model.name} can have {', '.join(sorted(possible))}"

@@ -39,6 +39,7 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.import_map import parse_import_map
 from seatrial.daq.log import bag_of_ros
 from seatrial.ident.data.loading import load_run
+from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.experiment_design.problem import DesignLimits
@@ -1858,6 +1859,11 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         ),
         (lambda logs, fit: st.fit(logs[0], window=(0.0, 60.0)), "there is no option 'window'; the options are"),
         (lambda logs, fit: st.fit(logs[0], effects="skeg"), "effects skeg: there is no such effect"),
+        (lambda logs, fit: st.fit(logs[0], effects="skeg.py"), "effects skeg.py: takes the name of an effect"),
+        (
+            lambda logs, fit: st.fit(logs[0], effects=["wind", catalogue()["mismatch"]]),
+            "effects mismatch: takes the name of an effect of the catalogue or of an installed package",
+        ),
         (lambda logs, fit: st.fit(logs[0], fixed={"c7": 1.0}), "fixed c7"),
         (lambda logs, fit: st.fit(logs[0], priors={"m_u": 30.0}), "priors: m_u: give a pair of mean and standard"),
         (
