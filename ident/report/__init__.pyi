@@ -8,6 +8,7 @@ from .design_page import write_design_page as write_design_page
 from .drawing import DASHES as DASHES
 from .drawing import LINES as LINES
 from .drawing import Panel as Panel
+from .drawing import axis_limits as axis_limits
 from .drawing import band as band
 from .drawing import dots as dots
 from .drawing import line_trace as line_trace

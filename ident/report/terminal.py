@@ -41,6 +41,7 @@ from seatrial.ident.results import (
     NOT_TESTED,
     NOT_WEIGHED,
     ONLY_CHOSEN,
+    OTHER_SURROUNDINGS,
     RUNS_AWAY,
     SIMULATION_COVERS,
     THRUST_KNOWN,
@@ -74,7 +75,7 @@ from seatrial.ident.results import (
 )
 
 # Beginnings of the notes that the terminal shows
-SHOWN_NOTES = (SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, NOT_TESTED, ONLY_CHOSEN, THRUST_KNOWN)
+SHOWN_NOTES = (SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, NOT_TESTED, ONLY_CHOSEN, THRUST_KNOWN, OTHER_SURROUNDINGS)
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 WIDEST_INTERVALS = 72  # characters of a line of the table of the 95 % intervals
 WIDEST_TEXT = 100  # characters of a line of texts in the table of what differs between models

@@ -3,6 +3,7 @@ from .answers import NO_DATE as NO_DATE
 from .answers import NOMOTO as NOMOTO
 from .answers import NOMOTO_LAG as NOMOTO_LAG
 from .answers import NOT_WEIGHED as NOT_WEIGHED
+from .answers import OTHER_SURROUNDINGS as OTHER_SURROUNDINGS
 from .answers import RUNS_AWAY as RUNS_AWAY
 from .answers import SIMULATION_COVERS as SIMULATION_COVERS
 from .answers import antenna_warning as antenna_warning

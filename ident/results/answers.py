@@ -117,6 +117,7 @@ PASSED_TESTS = (
 )
 SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a simulation leave out a large part
 SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
+OTHER_SURROUNDINGS = "Effects of the surroundings of another day"  # begins the note of a comparison
 MOST_OF_ERROR = "A small part of the time has most of the squared error"  # begins the note of a comparison
 RUNS_AWAY = "The simulation of a directionally unstable model can run away from the measured motion"  # begins a note
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed

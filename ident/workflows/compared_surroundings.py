@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from seatrial.ident.data import LoadedLog
 from seatrial.ident.estimation import SavedModel
 from seatrial.ident.model import Model
-from seatrial.ident.results import NO_DATE
+from seatrial.ident.results import NO_DATE, OTHER_SURROUNDINGS
 
 OTHER_DAY = timedelta(hours=12)  # between the starts of logs, from which on the surroundings are other ones
 
@@ -55,9 +55,8 @@ def surroundings_notes(models: Mapping[str, SavedModel], logs: Sequence[LoadedLo
             other |= dict.fromkeys(away)
     if not found:
         return []
-    have = "The model has" if len(models) == 1 else "These models have"
     return [
-        f"{have} effects of the surroundings with the values of the logs of the fit: {'; '.join(found)}. The compared "
+        f"{OTHER_SURROUNDINGS}: {'; '.join(found)} with the values of the logs of the fit. The compared "
         f"logs {', '.join(other)} are of another day, and are predicted with these values. Compare models without "
         "them, or fit the logs of both days with a size of the effect for each log (--per-log; of the wind F_wx and "
         "F_wy), so that it is estimated anew on a compared log."

@@ -12,6 +12,7 @@ from seatrial.api.figures import Figure
 from seatrial.daq.errors import SeatrialError, names_hint
 from seatrial.ident.report import (
     Panel,
+    axis_limits,
     band,
     degrees_for,
     dots,
@@ -35,7 +36,8 @@ def prediction_figure(result: FitResult, channels: Sequence[str], record: str | 
     """Return a figure of measured and predicted channels over the horizon, with the 95 % band of the prediction.
 
     It has a panel for each channel of each record, validation records first. Angles are in degrees and wrapped to half
-    a turn about zero, as in the report. A channel without predictions has only its samples.
+    a turn about zero, as in the report. The vertical range is limited where a wide band would hide the curves. A
+    channel without predictions has only its samples.
 
     Parameters
     ----------
@@ -62,9 +64,14 @@ def prediction_figure(result: FitResult, channels: Sequence[str], record: str | 
         factor, unit = degrees_for(x.unit)
         turn = TURN_DEG if x.angle else None
         panel = Panel(f"{x.channel} [{unit or '1'}], {x.record} ({x.role})")
-        panel.traces.append(dots(x.t, _wrapped(factor * x.measured, turn), "measured", POINTS, turn=turn))
+        measured = _wrapped(factor * x.measured, turn)
+        panel.traces.append(dots(x.t, measured, "measured", POINTS, turn=turn))
+        if turn is not None:
+            panel.y.update(range=[-turn / 2, turn / 2], tick0=0, dtick=turn / 4)
         if x.t_horizon.size:
             middle, half = _wrapped(factor * x.horizon, turn), 1.96 * factor * x.sd_horizon
+            if turn is None and (limits := axis_limits([measured, middle], [middle - half, middle + half])):
+                panel.y["range"] = limits  # a wide band would make the curves flat
             panel.traces.append(band(x.t_horizon, middle, half, POINTS, turn=turn))
             name = f"predicted {result.horizon_seconds:g} s ahead"
             panel.traces.append(line_trace(x.t_horizon, middle, name, POINTS, turn=turn))

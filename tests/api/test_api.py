@@ -738,6 +738,17 @@ def test_figure_of_a_fit_has_validation_first_and_headings_within_a_turn(fit: st
     measured = [numbers(x["y"]) for x in figure.data if x["name"] == "measured"]
     assert len(measured) == 2
     assert all(np.nanmax(np.abs(y)) <= 180.01 for y in measured)
+    assert figure.layout["yaxis"]["range"] == [-180.0, 180.0]
+
+
+def test_figure_of_a_fit_limits_its_range_where_the_band_is_wide(fit: st.FittedVehicle) -> None:
+    """A band of thousands of metres per second would make the curves flat."""
+    trace = next(x for x in fit.result.traces if x.channel == "r")
+    wide = structs.replace(trace, sd_horizon=np.where(np.arange(trace.t_horizon.size) == 5, 1e3, trace.sd_horizon))
+    low, high = prediction_figure(structs.replace(fit.result, traces=(wide,)), []).layout["yaxis"]["range"]
+    measured = np.degrees(trace.measured[np.isfinite(trace.measured)])
+    assert low <= measured.min() < measured.max() <= high
+    assert high - low < 4.0 * np.ptp(measured)
 
 
 def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:

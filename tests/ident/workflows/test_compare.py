@@ -41,8 +41,8 @@ from seatrial.ident.report.blocks import Cell
 from seatrial.ident.report.formatting import with_error
 from seatrial.ident.report.page import render
 from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, overlay_panels
-from seatrial.ident.report.terminal import compared_tables
-from seatrial.ident.results import ComparisonResult, CourseStability, LogScore, VehicleResult
+from seatrial.ident.report.terminal import SHOWN_NOTES, compared_tables
+from seatrial.ident.results import OTHER_SURROUNDINGS, ComparisonResult, CourseStability, LogScore, VehicleResult
 from seatrial.ident.results.parts import CommonErrorsRow
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.validation import prediction_errors
@@ -587,10 +587,12 @@ def test_wind_of_another_day_is_named() -> None:
     logs = [log("oct", october), log("jul", "2026-07-01T21:00:00+00:00")]
     (note,) = surroundings_notes({"a": saved("mismatch", (july,)), "b": saved("wind", (july,))}, logs)
     assert note.startswith(
-        "These models have effects of the surroundings with the values of the logs of the fit: (b) wind. The compared "
-        "logs oct are of another day, and are predicted with these values."
+        f"{OTHER_SURROUNDINGS}: (b) wind with the values of the logs of the fit. The compared logs oct are of another "
+        "day, and are predicted with these values."
     )
-    assert surroundings_notes({"": saved("wind", (july,))}, logs)[0].startswith("The model has effects")
+    (alone,) = surroundings_notes({"": saved("wind", (july,))}, logs)
+    assert alone.startswith(f"{OTHER_SURROUNDINGS}: wind with the values")
+    assert OTHER_SURROUNDINGS in SHOWN_NOTES  # the terminal and summary() have the note too
     unknown = [log("new", None), log("undated", "1970-01-01T00:00:00+00:00")]
     for silent, given in (
         (saved("wind", (july,)), logs[1:]),
