@@ -153,11 +153,11 @@ class TimedReporter:
     """
 
     def __init__(self, reporter: Reporter) -> None:
-        """Store the receiver. The time counts from here on."""
+        """Store the receiver, and start to measure the time."""
         self._reporter, self._began = reporter, time.monotonic()
 
     def times(self) -> str:
-        """Return the time since the start as text, such as ``0:40 so far``."""
+        """Return a text with the time since the start, for example ``0:40 so far``."""
         return times_text(time.monotonic() - self._began, None)
 
     def progress(self, text: str, times: Callable[[], str] | None = None) -> None:

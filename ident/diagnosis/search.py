@@ -780,7 +780,7 @@ class _Search:
     work
         Parts of the search that are done and still ahead, for the time left.
     larger_models
-        Models whose compiled sensitivities serve many refits. Those in the list of a `common_kernels` context do.
+        Models whose kernels serve the refits that they contain. The list is that of a `common_kernels` context.
     """
 
     def __init__(

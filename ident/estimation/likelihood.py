@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import Record
-from seatrial.ident.engine import ArenaPool, FilterKernels, Kernel, filter_kernels_for
-from seatrial.ident.estimation.model_kernels import ModelKernels, model_kernels
+from seatrial.ident.engine import ArenaPool, FilterKernels, filter_kernels_for
+from seatrial.ident.estimation.model_kernels import ModelKernels, kernel_inputs, model_kernels
 from seatrial.ident.estimation.prepared_record import InitialCondition, Prepared, Preparer, initial_condition
 from seatrial.ident.model import LIKELY, Model, robust_weight
 from seatrial.ident.numerics import Array
@@ -252,7 +252,7 @@ class Likelihood:
 
             The filter state ``s`` and the sum ``total`` (1,) of the log-likelihood are updated in place.
             """
-            rows = {**_kernel_inputs(forward_kernel, data, piece), "p": p, "s": s, "ll": total}
+            rows = {**kernel_inputs(forward_kernel, data, piece), "p": p, "s": s, "ll": total}
             return forward_kernel(piece.stop - piece.start, data.mask[piece], rows, arena=arena)
 
         with self._arenas.borrow() as arena:
@@ -263,7 +263,7 @@ class Likelihood:
                 if piece is not pieces[-1]:
                     done = forward(piece, s, np.zeros(1))
                 tapes = {name: done[name] for name in self._kernels.tapes}
-                rows = {**_kernel_inputs(backward_kernel, data, piece), **fixed_arrays, **tapes}
+                rows = {**kernel_inputs(backward_kernel, data, piece), **fixed_arrays, **tapes}
                 backward_kernel(piece.stop - piece.start, data.mask[piece], rows, arena=arena)
         value, gradient = float(ll[0]), fixed_arrays["g"]
         for entry, parameter, slope in start.tangent:
@@ -479,14 +479,6 @@ class Likelihood:
 def _contiguous_doubles(values: Array) -> Array:
     """Return the values as a contiguous float64 array, as compiled code needs them; a copy only if necessary."""
     return np.ascontiguousarray(values, dtype=np.float64)
-
-
-def _kernel_inputs(kernel: Kernel, data: Prepared, piece: slice = slice(None)) -> dict[str, Array]:
-    """Return those arrays of a prepared record that a compiled function reads, by name, cut to a slice of rows.
-
-    ``piece`` is the slice; by default it holds all rows.
-    """
-    return {name: a[piece] for name, a in data.rows.items() if name in kernel.layout.sizes}
 
 
 def _row_pieces(n_rows: int) -> list[slice]:

@@ -57,13 +57,21 @@ class ModelKernels:
         """
         p = self.without.copy()
         p[self.place] = values
-        arrays = {name: a[piece] for name, a in data.rows.items() if name in kernel.layout.sizes}
+        arrays = kernel_inputs(kernel, data, piece)
         if self.inputs is not None:
             for name in arrays.keys() & {"u", "u_next"}:
                 wide = np.zeros((len(arrays[name]), self.n_inputs))
                 wide[:, self.inputs] = arrays[name]
                 arrays[name] = wide
         return arrays | {"p": p}
+
+
+def kernel_inputs(kernel: Kernel, data: Prepared, piece: slice = slice(None)) -> dict[str, Array]:
+    """Return those arrays of a prepared record that a compiled function reads, by name, cut to a slice of rows.
+
+    ``piece`` is the slice; by default it holds all rows.
+    """
+    return {name: a[piece] for name, a in data.rows.items() if name in kernel.layout.sizes}
 
 
 def model_kernels(model: Model, *, covariance: bool = True, joseph: bool = False) -> ModelKernels:

@@ -39,7 +39,7 @@ class DesignEvaluator:
     """
 
     def __init__(self, problem: DesignProblem) -> None:
-        """Store the design problem. Nothing is computed here."""
+        """Store the design problem. Each property is computed at its first access."""
         self.problem = problem
 
     @cached_property
