@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from statistics import geometric_mean
 from typing import Annotated, Literal
 
 from msgspec import Meta
@@ -536,8 +537,8 @@ def _worse_predicted_sentence(result: CampaignsResult) -> str:
     compared = [r for e in (own, changed) if e is not None and (r := _error_ratios(before, e))]
     if not compared:
         return ""
-    ratios = min(compared, key=_geometric_mean)
-    ratio = _geometric_mean(ratios)
+    ratios = min(compared, key=lambda r: geometric_mean(r.values()))
+    ratio = geometric_mean(ratios.values())
     no_help = changed is not None and changed.verdict in ("unchanged", "rose")
     if ratio < (WORSE if no_help else MUCH_WORSE):
         return ""
@@ -571,11 +572,6 @@ def _error_ratios(before: CampaignErrors, after: CampaignErrors) -> dict[str, fl
         and a.after
         and b.after
     }
-
-
-def _geometric_mean(ratios: Mapping[str, float]) -> float:
-    """Return the geometric mean of positive ratios by channel, of which there is at least one."""
-    return math.exp(sum(map(math.log, ratios.values())) / len(ratios))
 
 
 def _change_text(p: ParameterDifference) -> str:
