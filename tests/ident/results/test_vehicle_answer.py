@@ -362,6 +362,26 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     assert "all channels: it diverges (surge" in vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
 
 
+def test_a_simulation_that_is_much_worse_than_the_prediction_is_stated() -> None:
+    """A fit of 89 % over 10 s was the whole headline of a model whose simulation was 10 m and 30 deg wrong."""
+    units = {"psi": "rad", "x": "m", "r": "rad/s"}
+    ahead = {n: ErrorComparison(after=0.1, unit=unit, spread=1.0) for n, unit in units.items()}
+    fitted = PredictionFit(role="estimation", fit=0.89, low=0.85, high=0.92)
+
+    def answer(**simulated: float | None) -> str:
+        rows = {n: ErrorComparison(after=e, unit=units[n], spread=1.0) for n, e in simulated.items()}
+        errors = Errors(estimation=ErrorTable(one_step={}, horizon=ahead, simulation=rows))
+        return vehicle_answer(fitted, errors, 10.0, [], [], searchable=True)
+
+    assert (
+        " The simulation of the whole runs by the inputs alone is much worse: its errors are 4 times those 10 s ahead "
+        "(geometric mean of all channels), most in position north, 1.6 m in place of 0.10 m (rms). There are too few"
+    ) in answer(psi=0.4, x=1.6, r=0.1)
+    assert "most in heading, 92 deg in place of 5.7 deg (rms)" in answer(psi=1.6, x=0.4)
+    assert "simulation" not in answer(psi=0.2, x=0.4, r=0.1)  # twice as large
+    assert "by the inputs alone diverges (heading): do not use" in answer(psi=None, x=0.1)
+
+
 def test_untested_residuals_are_not_called_white() -> None:
     assert residual_sentence([], []) == (
         "There are too few samples to test whether the residuals are white; record at least 60 samples of a channel."
