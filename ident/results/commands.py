@@ -51,6 +51,7 @@ from seatrial.ident.results.answers import (
     warm_up_notes,
     wind_sentence,
 )
+from seatrial.ident.results.data_names import of_judging_data
 from seatrial.ident.results.parts import (
     Calibrations,
     Dynamics,
@@ -231,6 +232,7 @@ def vehicle_result(
     sentences += [homogeneity_sentence(a) for a in homogeneity]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty, untested = posed.uncertainty, posed.assessment is None
+    in_blocks = all(log.role != "validation" for log in made.logs)
     return VehicleResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made) + answer,
@@ -247,7 +249,7 @@ def vehicle_result(
         ),
         notes=(
             *(untested_notes(fitted.model, posed.effect_parameters) if searchable and untested else ()),
-            *common_errors_notes(common, "the model", rejected),
+            *of_judging_data(common_errors_notes(common, "the model", rejected), in_blocks),
             *model_uncertainty_notes(uncertainty, fitted.fit),
             *thrust_of_notes(fitted.fit),
             *prior_notes(fitted.fit),

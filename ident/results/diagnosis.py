@@ -74,6 +74,7 @@ from seatrial.ident.results.answers import (
     wind_sentence,
 )
 from seatrial.ident.results.candidate_titles import candidate_title
+from seatrial.ident.results.data_names import of_judging_data
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.rival_estimates import with_rival_values
 from seatrial.ident.results.tables import (
@@ -177,8 +178,9 @@ def diagnosis_result(
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
     rows = (_round_row(r) for r in diagnosis.rounds)
-    rounds = tuple(msgspec.structs.replace(r, why=_of_predicted_data(r.why, diagnosis)) for r in rows)
-    effects = _effect_rows(diagnosis, role)
+    in_blocks = diagnosis.cross_validated
+    rounds = of_judging_data(tuple(rows), in_blocks)
+    effects = of_judging_data(_effect_rows(diagnosis, role), in_blocks)
     bench = diagnosis.after.fit.model.kind is ModelKind.BENCH
     answer, again = "", command_without_validation(made.command)
     if not failed:
@@ -186,7 +188,7 @@ def diagnosis_result(
     stability = dynamics.course if dynamics else None
     course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
-    worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
+    worse = of_judging_data(_worse_simulation_sentence(errors) if diagnosis.effects else "", in_blocks)
     late = late_command_sentence(made) if bench else ""
     usable = ""
     if bench and not diagnosis.effects:
@@ -195,7 +197,7 @@ def diagnosis_result(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
         + (failed or late + " ".join(filter(None, [usable, answer, worse, straight_sentence(dynamics), course, wind]))),
-        caveat=None if failed else diagnosis_caveat(diagnosis, bench=bench),
+        caveat=None if failed else of_judging_data(diagnosis_caveat(diagnosis, bench=bench), in_blocks),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
         warnings=(
@@ -203,14 +205,14 @@ def diagnosis_result(
             *late_sensor_warnings(made, diagnosis.after.fit.model),
             *frames_assumed(diagnosis.after),
             *warnings,
-            *short_data_warnings(diagnosis.after, after.horizon),
+            *of_judging_data(short_data_warnings(diagnosis.after, after.horizon), in_blocks),
             *thrust_difference_warnings(diagnosis.uncertainty, diagnosis.after.fit, given.weighed_mass, diagnosed=True),
             *failed_run_warnings(diagnosis.failed_runs),
             *_untested_warnings(diagnosis),
         ),
         notes=(
             *(assumed_noise_notes(diagnosis.after.fit.model) if diagnosis.effects else ()),
-            *alternative_notes(rounds, effects),
+            *of_judging_data(alternative_notes(rounds, effects), in_blocks),
             *notes,
             *thrust_of_notes(diagnosis.after.fit),
             *prior_notes(diagnosis.after.fit),
@@ -223,7 +225,7 @@ def diagnosis_result(
             *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),
             *outlier_lines(after.estimation_residuals, after.model),
-            *calibration_notes(calibration, after.horizon),
+            *of_judging_data(calibration_notes(calibration, after.horizon), in_blocks),
             *warm_up_notes(simulated_durations(after), after.model.kind),
         ),
         fit=with_rival_values(
@@ -354,19 +356,7 @@ def diagnosis_answer(
             f"Left out of the search (--exclude): {_joined_titles([e.title for e in diagnosis.excluded])}. If the data "
             f"contain {effect}, other effects or the disturbance forces stand for it."
         )
-    return _of_predicted_data(" ".join(sentences), diagnosis)
-
-
-def _of_predicted_data(text: str, diagnosis: Diagnosis) -> str:
-    """Return a text with the name of the data that decide on an effect; it names them as those of validation logs.
-
-    Without validation logs these are the blocks of time of the estimation data, each predicted by a fit to the others.
-    """
-    if not diagnosis.cross_validated:
-        return text
-    return text.replace("the validation data", "the blocks of time").replace(
-        "The validation data", "The blocks of time"
-    )
+    return of_judging_data(" ".join(sentences), diagnosis.cross_validated)
 
 
 def _waves_sentence(frequency: float) -> str:
@@ -1579,7 +1569,7 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
         notes += inertia_curve_notes([e.effect for e in diagnosis.effects])
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
-    return [_of_predicted_data(note, diagnosis) for note in notes] + _flag_notes(diagnosis.after.fit)
+    return [*of_judging_data(notes, diagnosis.cross_validated), *_flag_notes(diagnosis.after.fit)]
 
 
 def inertia_curve_notes(effects: Iterable[Effect]) -> list[str]:
