@@ -30,6 +30,7 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
+from tests.missions import boat_log, boat_with
 from tests.own_boats import BOATS, HULL, import_map, write_run
 from tests.page_runner import run_command, run_commands
 from tests.test_docs import shell_commands
@@ -80,6 +81,21 @@ def weed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_the_effect_of_the_how_to_passes_its_own_test(weed: None) -> None:
     assert set(catalogue()["weed"].alternatives) <= set(catalogue())
     assert run_tests(blocks("add-an-effect", "python")[1]) == 1
+
+
+@pytest.mark.slow
+def test_an_effect_of_one_boat_is_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The commands of the page lead from the file with the effect to an exported model that has it."""
+    monkeypatch.chdir(tmp_path)
+    example = (ROOT / "docs/examples/skeg.py").read_text(encoding="utf-8")
+    assert blocks("add-an-effect", "python")[2] in example
+    shutil.copy(ROOT / "docs/examples/skeg.py", tmp_path)
+    boat = boat_with(None, 3)
+    for k in (1, 2):
+        boat_log(Path(f"run{k}.mcap"), boat, 90.0, 7 + k, k)
+    run_commands(blocks("add-an-effect", "sh")[2])
+    assert "skeg" in [e.name for e in load_model(Path("with-skeg/model.toml")).model.effects]
+    assert "d_skeg" in Path("boat.h").read_text(encoding="utf-8")
 
 
 def steps(rng: np.random.Generator, t: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -495,7 +495,7 @@ def model_options(score_tests: bool = True, why: str = "", sides: bool = True) -
     """Return a decorator that adds the options of the model of a boat and of its fit to a command.
 
     The command receives ``model``, ``thruster``, ``thrust_of``, ``fixed``, ``initial``, ``priors``, ``effects``,
-    ``mass`` and ``score_tests``.
+    ``effects_file``, ``mass`` and ``score_tests``.
 
     Parameters
     ----------
@@ -589,7 +589,14 @@ MODEL_OPTIONS = (
         "effects",
         multiple=True,
         metavar="EFFECT",
-        help="Add an effect of the catalogue with free parameters (lever-arm, mount, ...); may be repeated.",
+        help="Add an effect of the catalogue, or of --effects, with free parameters (lever-arm, mount, ...); may be "
+        "repeated.",
+    ),
+    click.option(
+        "--effects",
+        "effects_file",
+        type=SOURCE_FILE,
+        help="FILE.py with EFFECT or EFFECTS: add user-defined effects; all of them, or those that --effect names.",
     ),
     mass_option,
 )

@@ -229,6 +229,9 @@ class Round:
         The refit that was added, None if no refit was added.
     untested
         Candidates that passed and could not be fitted.
+    explained
+        Names of those other candidates in ``passed`` that would no longer be tried with the chosen effect in the model.
+        Empty if none was chosen, if it is nonparametric, or if the model with it was not tested.
     """
 
     scores: tuple[Score, ...]
@@ -236,6 +239,7 @@ class Round:
     refits: tuple[Refit, ...]
     chosen: Refit | None
     untested: tuple[UntestedCandidate, ...] = ()
+    explained: tuple[str, ...] = ()
 
     @property
     def outcome(self) -> Outcome:
@@ -557,6 +561,8 @@ class Diagnosis:
     untried_waves
         Frequency [Hz] of a significant peak in the spectrum of the innovations of ``after``, as of waves, if the search
         did not try waves because the model has common errors. None otherwise.
+    own_effects
+        Names of the user-defined candidates.
     """
 
     before: FittedModel
@@ -581,6 +587,7 @@ class Diagnosis:
     rejected_common_errors: RejectedCommonErrors | None = None
     uncertainty: ModelUncertainty | None = None
     untried_waves: float | None = None
+    own_effects: tuple[str, ...] = ()
 
     @property
     def effects(self) -> tuple[Refit, ...]:

@@ -300,6 +300,7 @@ def diagnose(
         common_errors=search.common_errors,
         rejected_common_errors=search.rejected_common_errors,
         untried_waves=_untried_waves(search, WAVES in start.candidates, current),
+        own_effects=tuple(name for name in effects or () if name not in catalogue()),
     )
 
 
@@ -924,10 +925,14 @@ class _Search:
         """
         again = current is not None
         self.nominal, current = before, current or before
+        chosen = False  # whether the last step added an effect, beside which the candidates were not tested yet
         while True:
             if len(self.rounds) >= max_effects and not self.common:
                 return current
             scores, passed = self.scored(current)
+            if chosen:
+                self.rounds[-1] = self._with_explained(self.rounds[-1], passed)
+                chosen = False
             if (extended := self.add_common_errors(current, passed)) is not None:
                 current = extended
                 continue
@@ -945,8 +950,19 @@ class _Search:
                 self.rounds.append(found)
             if found.chosen is None:
                 return current
-            current = found.chosen.fitted
+            current, chosen = found.chosen.fitted, True
             self.candidates.pop(found.chosen.effect.name, None)
+
+    def _with_explained(self, found: Round, passed: Sequence[Score]) -> Round:
+        """Return a round with the candidates that its chosen effect explains (`Round.explained`).
+
+        ``passed`` are the scores that pass on the model with this effect. A nonparametric effect explains none here,
+        because other curves are not tried beside a curve, whether or not it explains what they would.
+        """
+        if found.chosen is None or found.chosen.nonparametric:
+            return found
+        left = {found.chosen.effect.name, *(s.name for s in self._to_be_tried(passed, False))}
+        return replace(found, explained=tuple(name for name in found.passed if name not in left))
 
     def _to_be_tried(self, passed: Sequence[Score], again: bool) -> list[Score]:
         """Return those of the scores that pass on a model which may be tried, under the conditions of `forward`.

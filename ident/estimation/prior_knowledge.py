@@ -155,31 +155,50 @@ def _with_antenna(
     return model + part, [note] if len(set(arms)) > 1 else []
 
 
-def with_effects(model: Model, names: Sequence[str]) -> Model:
+def with_effects(model: Model, names: Sequence[str], own: Mapping[str, Effect] | None = None) -> Model:
     """Return the model with the effects of these names added (option ``--effect``).
 
     Some effects have several forms, of which a model accepts one; that form is added. Priors are scaled to the size of
     the boat, or are those that its numbers give (`with_effect_priors`). Free parameters with the value zero start at
     their characteristic step instead: at zero the likelihood of some effects has no slope.
 
+    ``own`` are user-defined effects by name (option ``--effects``). They take precedence over those of the catalogue,
+    and their priors are not scaled. If ``names`` has none of them, all are added.
+
     Raises
     ------
     SeatrialError
         If there is no such effect, or if the model has it already or cannot have it.
     """
-    for name in names:
-        effect = effect_for(model, _effect_form_for_model(model, name))
+    own = own or {}
+    for name in chosen_effects(names, own):
+        effect = _effect_form_for_model(model, name, own)
+        if name not in own:
+            effect = effect_for(model, effect)
         model = model + replace(effect, parameters=tuple(_moved_from_zero(p) for p in effect.parameters))
     return model
 
 
-def parameters_of_effects(model: Model, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the parameters of the effects ``names`` of the option ``--effect``, in the model with them.
+def chosen_effects(names: Sequence[str], own: Mapping[str, Effect]) -> tuple[str, ...]:
+    """Return the names of the effects of ``--effect``; user-defined effects come first if none of them is chosen.
+
+    ``own`` are the user-defined effects of ``--effects``, by name. All of them are then chosen.
+    """
+    if any(isinstance(name, str) and name in own for name in names):
+        return tuple(names)
+    return (*own, *names)
+
+
+def parameters_of_effects(
+    model: Model, names: Sequence[str], own: Mapping[str, Effect] | None = None
+) -> tuple[str, ...]:
+    """Return the names of the parameters of the effects that `with_effects` has added, in the model with them.
 
     The effect of a model may be another form of the effect of this name; both have the same first parameter.
     """
-    known = _effects_by_name()
-    sizes = {known[name].parameters[0].name for name in names}
+    own = own or {}
+    known = {**_effects_by_name(), **own}
+    sizes = {known[name].parameters[0].name for name in chosen_effects(names, own)}
     return tuple(p.name for e in model.effects if sizes & {q.name for q in e.parameters[:1]} for p in e.parameters)
 
 
@@ -240,22 +259,21 @@ def _meant(name: str, possible: Mapping[str, Effect]) -> str:
     return f"did you mean {' or '.join(questions)}? " if questions else ""
 
 
-def _effect_form_for_model(model: Model, name: str | Effect) -> Effect:
-    """Return the effect of the catalogue with this name, in the form that the model accepts.
+def _effect_form_for_model(model: Model, name: str | Effect, own: Mapping[str, Effect]) -> Effect:
+    """Return the effect with this name, in the form that the model accepts. ``own`` are user-defined effects by name.
 
     All forms of an effect have the same first parameter, by which they are found. If the model accepts several forms,
     the first one in the catalogue is returned. SeatrialError is raised if the name is a file or an effect itself, if
     there is no such effect, if the model has its first parameter already, or if the model accepts no form.
     """
-    known = _effects_by_name()
+    known = {**_effects_by_name(), **own}
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
     if isinstance(name, Effect) or name.endswith(".py"):
         shown = name.name if isinstance(name, Effect) else name
         raise SeatrialError(
-            f"--effect {shown}: takes the name of an effect of the catalogue or of an installed package "
-            "(documentation: Add an effect); a file with an effect is an option of a diagnosis (--effects FILE.py), "
-            "and a fit takes a model of your own (--model FILE.py:NAME)"
+            f"--effect {shown}: takes the name of an effect; give the file that defines an effect of your own with "
+            "--effects FILE.py, and its name with --effect if the file has several (documentation: Add an effect)"
         )
     if name not in known:
         meant = _meant(name, possible)
@@ -264,6 +282,8 @@ def _effect_form_for_model(model: Model, name: str | Effect) -> Effect:
     size = known[name].parameters[0].name  # all forms of an effect share their first parameter
     if size in model.values:
         raise SeatrialError(f"--effect {name}: model {model.name} has it already")
+    if name in own and model.accepts(own[name]):
+        return own[name]
     fitting = [e for e in possible.values() if name == e.name or size == e.parameters[0].name]
     if not fitting:
         raise SeatrialError(f"--effect {name}: model {model.name} has no place for this effect; it can have {can}")

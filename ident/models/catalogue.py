@@ -10,7 +10,7 @@ from typing import Any
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.plugins import load_plugin, plugins
-from seatrial.ident.model import Model
+from seatrial.ident.model import Effect, Model
 from seatrial.ident.models.components import current_walk
 from seatrial.ident.models.user_code import check_user_model, load_object
 
@@ -126,6 +126,22 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     return make(*options)
 
 
+def _own_model_meant(source: str) -> str:
+    """Return the correction of a name of a user-defined model without ``.py`` or without the object; "" for others.
+
+    The file must exist: ``boat:make`` and ``boat.make`` are taken for ``boat.py:make`` if there is a file ``boat.py``.
+    """
+    if source.endswith(".py"):
+        return f"give the name of the model in the file too, {source}:NAME" if Path(source).is_file() else ""
+    for separator in ":.":
+        file, _, name = source.rpartition(separator)
+        if file and Path(f"{file}.py").is_file():
+            return f"give the file with its ending, {file}.py:{name}"
+    return f"give the file with its ending, and the name of the model in it, {source}.py:NAME" * (
+        bool(source) and Path(f"{source}.py").is_file()
+    )
+
+
 def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
     """Return a model of another package: the result of its function, called with the options in the model's name.
 
@@ -146,6 +162,8 @@ def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
     point = plugins(GROUP).get(kind)
     if point is None:
         names = ", ".join((*BUILT_IN, *plugins(GROUP)))
+        if meant := _own_model_meant(source):
+            raise SeatrialError(f"no model {source!r}: {meant}")
         raise SeatrialError(f"no model {source!r}: choose {names}, or FILE.py:NAME for your own")
     make: Callable[..., Any] = load_plugin(point, Callable)  # type: ignore[arg-type]
     try:
@@ -321,6 +339,6 @@ def own_model(source: str) -> Model:
     if not isinstance(model, Model):
         raise SeatrialError(
             f"{file}: {name} is a {type(model).__name__}, not a seatrial Model; name a Model, or a function without "
-            "arguments that returns one"
+            f"arguments that returns one{' (an effect is given with --effects FILE.py)' * isinstance(model, Effect)}"
         )
     return check_user_model(replace(model, source=source), Path(file))  # model.toml stores the source to load it again

@@ -185,8 +185,27 @@ def load_python(path: Path) -> ModuleType:
         # The loader is not used, because it would run bytecode in the folder of the file instead of the file
         exec(compile(path.read_bytes(), str(path), "exec"), vars(module))
     except Exception as problem:
-        raise SeatrialError(f"{error_place(problem, path)}: cannot be loaded: {error_message(problem)}") from problem
+        raise SeatrialError(
+            f"{error_place(problem, path)}: cannot be loaded: {error_message(problem)}{_import_advice(problem, path)}"
+        ) from problem
     return module
+
+
+def _import_advice(problem: BaseException, path: Path) -> str:
+    """Return what to do if the user's file ``path`` imports a module that Python does not find; "" for other errors.
+
+    The folder of the file is not searched by an import, because the file is run as a part of this program.
+    """
+    if not isinstance(problem, ModuleNotFoundError) or not problem.name:
+        return ""
+    name = problem.name.partition(".")[0]
+    if (path.parent / f"{name}.py").is_file() or (path.parent / name).is_dir():
+        folder = path.parent.absolute()
+        return (
+            f"; {name} is beside this file, where Python does not look: set PYTHONPATH={folder}, or put both into one "
+            "file, of which model.toml keeps a copy"
+        )
+    return f"; install this package, or add the folder that has {name}.py to PYTHONPATH"
 
 
 def load_object(source: str) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from seatrial.daq.errors import counted
 from seatrial.ident.data import BLOCK_TIMES
 from seatrial.ident.numerics import Array
-from seatrial.ident.results import CURVES, LogSummary, Trace
+from seatrial.ident.results import BLOCKS, CURVES, LogSummary, Trace
 
 ROLES = ("validation", "estimation")  # order of the tabs: records that were not fitted are stronger evidence
 
@@ -141,6 +141,8 @@ def log_of_block(record: str, logs: Iterable[str]) -> str | None:
 def run_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str], logs: Sequence[LogSummary]) -> list[RecordTab]:
     """Return the tabs of `record_tabs`, with one tab in place of those of all blocks of one log.
 
+    The role of blocks of an estimation log that take the place of validation logs is "blocks of time".
+
     Parameters
     ----------
     rows
@@ -150,13 +152,14 @@ def run_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str], logs: Sequence[
     logs
         Logs of the result.
     """
-    names = [log.name for log in logs]
+    names, estimated = [log.name for log in logs], {log.name for log in logs if log.role == "estimation"}
     grouped: dict[tuple[str, str], RecordTab] = {}
     for tab in record_tabs(rows, roles):
         log = log_of_block(tab.name, names)
         key = (tab.name if log is None else log, tab.role if log is None else f"{tab.role}, blocks")
         before = grouped[key].blocks if key in grouped else ()
-        grouped[key] = tab if log is None else RecordTab(log, tab.role, (*before, tab.name))
+        role = BLOCKS if log in estimated and tab.role == "validation" else tab.role
+        grouped[key] = tab if log is None else RecordTab(log, role, (*before, tab.name))
     return list(grouped.values())
 
 

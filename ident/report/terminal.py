@@ -70,6 +70,8 @@ from seatrial.ident.results import (
     VehicleResult,
     causes_sentence,
     curve_words,
+    data_name,
+    judged_by_blocks,
     name_probabilities,
     standard_error_sentence,
 )
@@ -622,7 +624,7 @@ def _all_tables(result: Result) -> Sequence[Table | None]:
         ),
         _profiles_table(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
         _candidates_table(diagnosis) if diagnosis else None,
-        _errors_table(result.errors, result.horizon_seconds),
+        _errors_table(result.errors, result.horizon_seconds, judged_by_blocks(result)),
     ]
 
 
@@ -746,11 +748,12 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
     return table
 
 
-def _errors_table(errors: Errors, seconds: float) -> Table | None:
+def _errors_table(errors: Errors, seconds: float, in_blocks: bool) -> Table | None:
     """Return the table of the RMS prediction errors of up to eight channels; None if there are no channels.
 
     It has a column for each kind of prediction: over the horizon of ``seconds`` [s], one step ahead, simulation. The
     errors are those on the validation data if the result has any, otherwise those on the estimation data.
+    ``in_blocks``: whether blocks of time take the place of validation logs.
     """
     role, data = by_role(errors.validation, errors.estimation)[0]
     kinds = [(title, table) for title, table in horizons(data, seconds) if table]
@@ -762,7 +765,7 @@ def _errors_table(errors: Errors, seconds: float) -> Table | None:
     rows = [table[c] for _, table in kinds for c in channels if c in table]
     compared = any(row.before is not None and row.before != row.after for row in rows)
     quantity = "Error before → after" if compared else "Prediction error (rms)"
-    table = titled_table(f"{quantity}, {role} data{more}")
+    table = titled_table(f"{quantity}, {data_name(role, in_blocks)}{more}")
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, style="dim")
     for title, _ in kinds:

@@ -97,6 +97,10 @@ from .comparison import LogScore as LogScore
 from .comparison import ModelDifference as ModelDifference
 from .comparison import PredictionKind as PredictionKind
 from .curves import CURVES as CURVES
+from .data_names import BLOCKS as BLOCKS
+from .data_names import data_name as data_name
+from .data_names import judged_by_blocks as judged_by_blocks
+from .data_names import of_judging_data as of_judging_data
 from .diagnosis import GivenModel as GivenModel
 from .diagnosis import diagnosis_result as diagnosis_result
 from .diagnosis import with_model_of_design as with_model_of_design

@@ -81,6 +81,7 @@ FACTOR_FROM = 3.0  # larger ratios of errors are printed as a factor, not in per
 LEVEL = 0.01  # significance level of the whiteness tests
 MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sensor outputs and contain sensor noise
 LEAST_USEFUL_SCALE = 0.1  # ratio of actual to predicted errors, below which an interval does not tell the error
+MUCH_WORSE_SIMULATION = 2.5  # ratio of the errors of a simulation to those over the horizon, from which it is stated
 WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the interval of time that causes it
 JUST_INCLUDED = 0.05  # upper end of the interval of a ratio above 1, up to which it only just includes no change
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
@@ -191,7 +192,7 @@ def _nearly_fell(change: PredictionChangeRow, horizon: float) -> str:
         return ""
     return (
         f" The error is probably smaller with the effects: a shorter horizon (--horizon {0.5 * horizon:g}) or more "
-        f"{change.role} data can decide."
+        "data can decide."
     )
 
 
@@ -236,7 +237,9 @@ def vehicle_answer(
         Whether `seatrial ident diagnose` can search this model for missing effects. If it can, the answer advises it,
         unless there are too few samples or only measured inputs are correlated.
     """
-    fit_sentence = "" if prediction is None else f"{_fit_sentence(prediction, errors, horizon)} "
+    fit_sentence = ""
+    if prediction is not None:
+        fit_sentence = f"{_fit_sentence(prediction, errors, horizon)} {_simulation_sentence(errors, horizon)}"
     return f"{fit_sentence}{_whiteness_sentence(errors, residuals, cross, searchable)}"
 
 
@@ -269,6 +272,40 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
     ends = [f"{_percent(each[n])} ({NAMES.get(n, n)})" for n in sorted(each, key=lambda n: -each[n])]
     span = f" Best channel: {ends[0]}; worst: {ends[-1]}." if len(ends) > 1 else ""
     return f"{begin}fit {_percent(prediction.fit)}{interval}.{cause}{span}"
+
+
+def _simulation_sentence(errors: Errors, horizon: float) -> str:
+    """Return the sentence that the simulation by the inputs alone is much worse than the prediction over the horizon.
+
+    It is much worse if the geometric mean over the channels of the ratio of the errors is at least
+    `MUCH_WORSE_SIMULATION`, or if a channel diverges. The channel with the largest ratio is named with both errors. The
+    text ends with a space. It is empty if the simulation is not much worse, or if the prediction diverges already.
+    """
+    table = errors.estimation if errors.validation is None else errors.validation
+    if any(row.after is None for row in table.horizon.values()):
+        return ""
+    begin = "The simulation of the whole runs by the inputs alone"
+    if lost := [n for n, row in table.simulation.items() if row.after is None]:
+        return f"{begin} diverges ({_first_names(lost)}): do not use this model without measurements. "
+    pairs = {
+        n: (row.after or 0.0, table.simulation[n].after or 0.0)
+        for n, row in table.horizon.items()
+        if n in table.simulation
+    }
+    ratios = {n: simulated / predicted for n, (predicted, simulated) in pairs.items() if predicted and simulated}
+    mean = math.exp(sum(map(math.log, ratios.values())) / len(ratios)) if ratios else 1.0
+    if mean < MUCH_WORSE_SIMULATION:
+        return ""
+    worst = max(ratios, key=lambda n: ratios[n])
+    unit = table.horizon[worst].unit
+    factor = math.degrees(1.0) if unit.startswith("rad") else 1.0
+    predicted, simulated = (factor * error for error in pairs[worst])
+    unit = f" {unit.replace('rad', 'deg')}".rstrip()
+    return (
+        f"{begin} is much worse: its errors are {mean:.2g} times those {horizon:g} s ahead (geometric mean of all "
+        f"channels), most in {NAMES.get(worst, worst)}, {format_number(simulated)}{unit} in place of "
+        f"{format_number(predicted)}{unit} (rms). "
+    )
 
 
 def poor_channel(errors: Errors) -> tuple[str, float] | None:

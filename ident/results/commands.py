@@ -15,6 +15,7 @@ from msgspec import Meta
 
 from seatrial.ident.characterisation import TurningShaft, directions, largest_speeds
 from seatrial.ident.diagnosis import COMMON_ERRORS, ModelAssessment, ModelUncertainty
+from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
 from seatrial.ident.model import Effect, Model
 from seatrial.ident.models import is_own_model, residuals_of
@@ -50,6 +51,7 @@ from seatrial.ident.results.answers import (
     warm_up_notes,
     wind_sentence,
 )
+from seatrial.ident.results.data_names import of_judging_data
 from seatrial.ident.results.parts import (
     Calibrations,
     Dynamics,
@@ -134,6 +136,10 @@ STILL_UNTESTED = (
     f"{NOT_TESTED}: the standard errors assume a complete model, without the influence of effects that it lacks, such "
     "as a difference between the thrusters. It has these small errors of sensors and hull form: "
 )
+UNTESTED_OWN = (
+    f"{NOT_TESTED}, because it is a model of your own: the standard errors assume a complete model, without the "
+    "influence of effects that it lacks. "
+)
 # Beginning of a note that the terminal shows
 ONLY_CHOSEN = "The chosen effects were added without the small errors of sensors and hull form"
 
@@ -151,10 +157,12 @@ def untested_notes(model: Model, effect_parameters: Sequence[str]) -> list[str]:
     effect_parameters
         Names of the parameters of the effects that the user added to the model.
     """
+    if is_own_model(model.source):
+        return [f"{UNTESTED_OWN}{_common_errors_of_own_model(model)}"]
     common = [e.name for e in model.effects if e.name in COMMON_ERRORS and not _adds(e, effect_parameters)]
     if common:
         return [f"{STILL_UNTESTED}{', '.join(common)}."]
-    if not effect_parameters or is_own_model(model.source):
+    if not effect_parameters:
         return [UNTESTED]
     keep = (
         f"{ONLY_CHOSEN}, because the score tests select these errors and were left out. The prediction can be much "
@@ -162,6 +170,16 @@ def untested_notes(model: Model, effect_parameters: Sequence[str]) -> list[str]:
         "tested fit: --model FIT/model.toml."
     )
     return [UNTESTED, keep]
+
+
+def _common_errors_of_own_model(model: Model) -> str:
+    """Return the sentence on the common errors in a user-defined model, and on how to add those that it accepts."""
+    has = [e.name for e in model.effects if e.name in COMMON_ERRORS]
+    can = [name for name in COMMON_ERRORS if name in catalogue() and model.accepts(catalogue()[name])]
+    more = f"--effect adds {'others' if has else 'one'}: {', '.join(n for n in can if n not in has)}"
+    if has:
+        return f"Small errors of sensors and hull form in it: {', '.join(has)}; {more}."
+    return f"Small errors of sensors and hull form are not estimated; {more}." if can else ""
 
 
 def _adds(effect: Effect, names: Sequence[str]) -> bool:
@@ -214,6 +232,7 @@ def vehicle_result(
     sentences += [homogeneity_sentence(a) for a in homogeneity]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty, untested = posed.uncertainty, posed.assessment is None
+    in_blocks = all(log.role != "validation" for log in made.logs)
     return VehicleResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made) + answer,
@@ -230,7 +249,7 @@ def vehicle_result(
         ),
         notes=(
             *(untested_notes(fitted.model, posed.effect_parameters) if searchable and untested else ()),
-            *common_errors_notes(common, "the model", rejected),
+            *of_judging_data(common_errors_notes(common, "the model", rejected), in_blocks),
             *model_uncertainty_notes(uncertainty, fitted.fit),
             *thrust_of_notes(fitted.fit),
             *prior_notes(fitted.fit),

@@ -74,6 +74,7 @@ from seatrial.ident.results.answers import (
     wind_sentence,
 )
 from seatrial.ident.results.candidate_titles import candidate_title
+from seatrial.ident.results.data_names import of_judging_data
 from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.rival_estimates import with_rival_values
 from seatrial.ident.results.tables import (
@@ -177,8 +178,9 @@ def diagnosis_result(
     calibration = calibration_tables(after)
     recommended = recommended_experiment(diagnosis)
     rows = (_round_row(r) for r in diagnosis.rounds)
-    rounds = tuple(msgspec.structs.replace(r, why=_of_predicted_data(r.why, diagnosis)) for r in rows)
-    effects = _effect_rows(diagnosis, role)
+    in_blocks = diagnosis.cross_validated
+    rounds = of_judging_data(tuple(rows), in_blocks)
+    effects = of_judging_data(_effect_rows(diagnosis, role), in_blocks)
     bench = diagnosis.after.fit.model.kind is ModelKind.BENCH
     answer, again = "", command_without_validation(made.command)
     if not failed:
@@ -186,7 +188,7 @@ def diagnosis_result(
     stability = dynamics.course if dynamics else None
     course = course_sentence(stability, diagnosis.after.fit.model, estimation_logs(made))
     wind = wind_sentence(made, diagnosis.after.fit.model)
-    worse = _worse_simulation_sentence(errors) if diagnosis.effects else ""
+    worse = of_judging_data(_worse_simulation_sentence(errors) if diagnosis.effects else "", in_blocks)
     late = late_command_sentence(made) if bench else ""
     usable = ""
     if bench and not diagnosis.effects:
@@ -195,7 +197,7 @@ def diagnosis_result(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
         + (failed or late + " ".join(filter(None, [usable, answer, worse, straight_sentence(dynamics), course, wind]))),
-        caveat=None if failed else diagnosis_caveat(diagnosis, bench=bench),
+        caveat=None if failed else of_judging_data(diagnosis_caveat(diagnosis, bench=bench), in_blocks),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
         warnings=(
@@ -203,14 +205,14 @@ def diagnosis_result(
             *late_sensor_warnings(made, diagnosis.after.fit.model),
             *frames_assumed(diagnosis.after),
             *warnings,
-            *short_data_warnings(diagnosis.after, after.horizon),
+            *of_judging_data(short_data_warnings(diagnosis.after, after.horizon), in_blocks),
             *thrust_difference_warnings(diagnosis.uncertainty, diagnosis.after.fit, given.weighed_mass, diagnosed=True),
             *failed_run_warnings(diagnosis.failed_runs),
             *_untested_warnings(diagnosis),
         ),
         notes=(
             *(assumed_noise_notes(diagnosis.after.fit.model) if diagnosis.effects else ()),
-            *alternative_notes(rounds, effects),
+            *of_judging_data(alternative_notes(rounds, effects), in_blocks),
             *notes,
             *thrust_of_notes(diagnosis.after.fit),
             *prior_notes(diagnosis.after.fit),
@@ -223,7 +225,7 @@ def diagnosis_result(
             *refit_error_notes(rounds, effects),
             *_blocks_note(evaluation),
             *outlier_lines(after.estimation_residuals, after.model),
-            *calibration_notes(calibration, after.horizon),
+            *of_judging_data(calibration_notes(calibration, after.horizon), in_blocks),
             *warm_up_notes(simulated_durations(after), after.model.kind),
         ),
         fit=with_rival_values(
@@ -329,11 +331,13 @@ def diagnosis_answer(
         there is none.
     """
     sentences = [_missing_effects_sentence(diagnosis, prediction, horizon, bench, again)]
+    if not diagnosis.effects and (meaning := _two_velocities_sentence(_unexplained(diagnosis))):
+        sentences.append(meaning)
     if poor is not None and not diagnosis.effects and diagnosis.rounds:
         sentences.append(
             f"But the model predicts one channel {horizon:g} s ahead worse than its mean value would: {poor[0]}, fit "
-            f"{100 * poor[1]:.0f} %. Something is missing that no effect of the catalogue describes: look at the "
-            "residuals in the report, and at what differs between the runs."
+            f"{100 * poor[1]:.0f} %. Something is missing that no effect of the catalogue{_or_own(diagnosis)} "
+            "describes: look at the residuals in the report, and at what differs between the runs."
         )
     if diagnosis.effects and prediction is not None:
         if prediction.verdict == "unchanged" and (reason := _likelihood_sentence(diagnosis, prediction.role)):
@@ -352,19 +356,7 @@ def diagnosis_answer(
             f"Left out of the search (--exclude): {_joined_titles([e.title for e in diagnosis.excluded])}. If the data "
             f"contain {effect}, other effects or the disturbance forces stand for it."
         )
-    return _of_predicted_data(" ".join(sentences), diagnosis)
-
-
-def _of_predicted_data(text: str, diagnosis: Diagnosis) -> str:
-    """Return a text with the name of the data that decide on an effect; it names them as those of validation logs.
-
-    Without validation logs these are the blocks of time of the estimation data, each predicted by a fit to the others.
-    """
-    if not diagnosis.cross_validated:
-        return text
-    return text.replace("the validation data", "the blocks of time").replace(
-        "The validation data", "The blocks of time"
-    )
+    return of_judging_data(" ".join(sentences), diagnosis.cross_validated)
 
 
 def _waves_sentence(frequency: float) -> str:
@@ -474,7 +466,8 @@ def _missing_effects_sentence(
         return f"{' '.join(mismatch_sentence(m) for m in reported_mismatches(diagnosis))}{quiet}"
     if not diagnosis.rounds:
         return _short_data_sentence(diagnosis) or (
-            "No effect is missing: the data show neither an effect of the catalogue nor a nonparametric one."
+            f"No effect is missing: the data show neither an effect of the catalogue{_or_own(diagnosis)} nor a "
+            "nonparametric one."
         )
     last, removed = diagnosis.rounds[-1], diagnosis.removed
     if diagnosis.untested:
@@ -485,11 +478,12 @@ def _missing_effects_sentence(
         )
     if immaterial := [r for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
-        titles = _joined_titles([r.effect.title for r in immaterial])
+        titles = _joined_titles([_title_of(r.effect, diagnosis) for r in immaterial])
         sizes = _removed_sentences(diagnosis, immaterial, horizon, bench)
         return (
-            f"No effect of the catalogue improves the prediction: {titles} {do} a part of the residuals one step "
-            f"ahead, but the prediction is as good without {them}. {sizes}"
+            f"No effect of the catalogue{_or_own(diagnosis)} improves the prediction: {titles} {do} a part of the "
+            f"residuals one step ahead, but the prediction is as good without {them}. {sizes}"
+            f"{_stronger_remaining_sentence(diagnosis, immaterial)}"
         )
     # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
     why = last.explanation
@@ -498,15 +492,89 @@ def _missing_effects_sentence(
     strongest = min(last.scores, key=lambda s: s.p)
     if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
-    nearest = _nearest_effects(last, strongest.name, bench)
+    nearest = _nearest_effects(diagnosis, strongest.name, bench)
     failed = "improves the prediction" if last.outcome is Outcome.NO_BETTER_PREDICTION else "explains the residuals"
     return (
         f"The score tests contradict the model (the strongest one: {_score_titles(last)[strongest.name]}, "
         f"{_p_in_words(strongest.p)}), but no candidate {failed}: {why}. {nearest}A score test can "
         "find what the tests of whiteness and of the correlations with the inputs miss. "
         f"{_all_logs_sentence(diagnosis, again, bench)} Look at the residuals in the report."
-        f"{_two_velocities_sentence(strongest.name)}"
     )
+
+
+def _or_own(diagnosis: Diagnosis) -> str:
+    """Return the addition to "effect of the catalogue" for a search that had user-defined candidates too; else ""."""
+    return " or of your own" if diagnosis.own_effects else ""
+
+
+def _title_of(effect: Effect, diagnosis: Diagnosis) -> str:
+    """Return the title of an effect; a user-defined one has its name and the words "your effect" after it."""
+    own = effect.name in diagnosis.own_effects
+    return f"{effect.title} (your effect {effect.name})" if own else effect.title
+
+
+def _fit_command(names: Sequence[str], diagnosis: Diagnosis) -> str:
+    """Return the command that fits a vehicle model with the effects ``names``. User-defined effects need their file."""
+    file = "--effects FILE.py " if set(names) & set(diagnosis.own_effects) else ""
+    return f"`seatrial ident vehicle {file}{' '.join(f'--effect {name}' for name in names)}`"
+
+
+def _explained_by(diagnosis: Diagnosis, name: str) -> tuple[str, ...]:
+    """Return the names of the candidates that are not tried any more with an added effect in the model."""
+    rounds = (r for r in reversed(diagnosis.rounds) if r.chosen is not None and r.chosen.effect.name == name)
+    return next((r.explained for r in rounds), ())
+
+
+def _explains_sentence(diagnosis: Diagnosis, removed: RemovedEffect) -> str:
+    """Return the sentence on the candidates that an effect without influence on the prediction makes superfluous.
+
+    The text begins with a space. It is empty if the effect makes none superfluous.
+    """
+    names = _explained_by(diagnosis, removed.effect.name)
+    if not names:
+        return ""
+    which, tried = ("another candidate", "which is") if len(names) == 1 else ("other candidates", "which are")
+    shown = _joined_titles([candidate_title(name) for name in names[:MOST_REMAINING]])
+    others = f" and {counted(len(names) - MOST_REMAINING, 'other')}" * (len(names) > MOST_REMAINING)
+    return (
+        f" It also explains what {which} would otherwise explain, {tried} then too weak to be tried: {shown}{others}."
+    )
+
+
+def _stronger_remaining_sentence(diagnosis: Diagnosis, removed: Sequence[RemovedEffect]) -> str:
+    """Return the sentence that a candidate passes more strongly than effects without influence on the prediction.
+
+    Such a candidate makes the names of these effects uncertain. The text begins with a space. It is empty if the
+    strongest of the remaining candidates is one of the effects, or if one of the effects explains it.
+    """
+    name = _unexplained(diagnosis)
+    if not name:
+        return ""
+    refit = _last_refit(diagnosis, name)
+    why = "" if refit is None else f" ({_refit_clause(refit)})"
+    its = "the name of this effect is" if len(removed) == 1 else "the names of these effects are"
+    return (
+        f" The strongest candidate of the score tests is another one, and is not in the model either: "
+        f"{candidate_title(name)}{why}. So {its} uncertain."
+    )
+
+
+def _unexplained(diagnosis: Diagnosis) -> str:
+    """Return the name of the strongest candidate that a diagnosis without effects leaves unexplained; "" without one.
+
+    It is the one with the smallest p value in the last round, or, if effects were removed, the strongest candidate that
+    remains. One that may pass by chance does not count, and neither does an effect that was removed although the data
+    support it, or a candidate that such an effect explains.
+    """
+    if not diagnosis.rounds:
+        return ""
+    last = diagnosis.rounds[-1]
+    tested = diagnosis.remaining[:1]
+    if last.chosen is None and last.scores and not diagnosis.removed:
+        tested = (min(last.scores, key=lambda s: s.p),)
+    supported = [r.effect.name for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]
+    known = {*supported, *(name for effect in supported for name in _explained_by(diagnosis, effect))}
+    return next((s.name for s in tested if s.p <= CHANCE_P and s.name not in known), "")
 
 
 def _all_logs_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
@@ -527,13 +595,14 @@ def _all_logs_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
 
 
 def _two_velocities_sentence(name: str) -> str:
-    """Return the sentence on the meaning of a force of two velocities, with a space before it; "" for others.
+    """Return the sentence on the meaning of a force of two velocities that is left unexplained; "" for others.
 
-    ``name`` is that of the strongest candidate, such as ``N(v, r)``.
+    ``name`` is that of the strongest candidate, such as ``N(v, r)``. The answer has the sentence if no effect was
+    found, whatever the reason, and the caveat has it otherwise.
     """
     if re.fullmatch(r"[XYN]\([uvr], [uvr]\)", name) is None:
         return ""
-    return f" What an unexplained {name} means, and what to do: documentation, Theory, Diagnosis, section 11."
+    return f"What an unexplained {name} means, and what to do: documentation, Theory, Diagnosis, section 11."
 
 
 def command_without_validation(command: str) -> str:
@@ -565,8 +634,8 @@ def _p_in_words(p: float) -> str:
     return f"p = {p:.1g}" if p > 0.0 else "p < 1e-300"
 
 
-def _nearest_effects(search_round: Round, strongest: str, bench: bool) -> str:
-    """Return the sentences on the effects of the catalogue that come nearest in a round without an added effect.
+def _nearest_effects(diagnosis: Diagnosis, strongest: str, bench: bool) -> str:
+    """Return the sentences on the effects with a formula that come nearest in a last round without an added effect.
 
     The data support them, but the validation data alone neither support nor contradict them (`Round.nearest`, which
     the recommended experiment takes too). The first `MOST_NEAREST` are given, with their sizes in the rough fits. If
@@ -574,16 +643,16 @@ def _nearest_effects(search_round: Round, strongest: str, bench: bool) -> str:
     further logs are advised, because no fit takes its effects. The text ends with a space; it is empty if no effect
     comes near.
     """
+    search_round = diagnosis.rounds[-1]
     near = search_round.nearest[:MOST_NEAREST]
     if not near:
         return ""
     sizes = [", ".join(filter(None, (sizes_in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
-    each = [f"{r.effect.title} ({size})" for r, size in zip(near, sizes, strict=True)]
-    options = " ".join(f"--effect {r.effect.name}" for r in near)
+    each = [f"{_title_of(r.effect, diagnosis)} ({size})" for r, size in zip(near, sizes, strict=True)]
     told = strongest in {r.effect.name for r in near} or _explains_only(search_round, strongest)
     left_out = "" if told else _why_not_near(search_round, strongest)
     them = "them" if len(near) > 1 else "it"
-    advice = f"`seatrial ident vehicle {options}` estimates {them} with the model."
+    advice = f"{_fit_command([r.effect.name for r in near], diagnosis)} estimates {them} with the model."
     if bench:
         advice = f"A diagnosis with longer or further logs of the bench decides, and adds {them} if the data agree."
     return (
@@ -621,12 +690,13 @@ def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], h
     for r in removed:
         refit = _last_refit(diagnosis, r.effect.name)
         size = "" if refit is None else sizes_in_words(refit.effect, refit.fitted)
-        use = f"; `seatrial ident vehicle --effect {r.effect.name}` estimates it with the model"
-        what = "it" if len(removed) == 1 else r.effect.title
+        use = f"; {_fit_command([r.effect.name], diagnosis)} estimates it with the model"
+        known = r.effect.name in catalogue() or r.effect.name in diagnosis.own_effects
+        what = "it" if len(removed) == 1 else _title_of(r.effect, diagnosis)
         found.append(
             f"The validation data support {what}{f' ({size})' * bool(size)}: their log-likelihood "
-            f"{_rises(r.validation_gain)} (t = {r.t:.1f}). It is left out because the prediction {horizon:g} s ahead "
-            f"is no better with it{use * (r.effect.name in catalogue() and not bench)}."
+            f"{_rises(r.validation_gain)} (t = {r.t:.1f}).{_explains_sentence(diagnosis, r)} It is left out because "
+            f"the prediction {horizon:g} s ahead is no better with it{use * (known and not bench)}."
         )
     return " ".join(found)
 
@@ -1004,8 +1074,9 @@ def diagnosis_caveat(diagnosis: Diagnosis, *, bench: bool = False) -> str | None
         )
     elif diagnosis.effects and diagnosis.remaining and not doubted:
         sentences += _remaining_sentences(diagnosis, bench)
-    if sentences and diagnosis.remaining and (meaning := _two_velocities_sentence(diagnosis.remaining[0].name)):
-        sentences.append(meaning.strip())
+    left = diagnosis.remaining[0].name if diagnosis.effects and diagnosis.remaining else ""
+    if sentences and (meaning := _two_velocities_sentence(left)):
+        sentences.append(meaning)
     return " ".join(sentences) or None
 
 
@@ -1454,8 +1525,11 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
     that the model does not fit (without effects, the answer has them), which model to use without effects, and
     parameters with a flag. A note that does not apply is left out.
     """
-    named = [f"{r.effect.name} ({r.effect.title})" for r in diagnosis.effects if r.effect.name in catalogue()]
-    notes = [f"Names for --effect: {', '.join(named)}."] if named else []
+    own = [r.effect.name for r in diagnosis.effects if r.effect.name in diagnosis.own_effects]
+    known = [r for r in diagnosis.effects if r.effect.name in catalogue() or r.effect.name in own]
+    named = [f"{r.effect.name} ({r.effect.title})" for r in known]
+    file = f" ({', '.join(own)}: with --effects FILE.py, your file)" if own else ""
+    notes = [f"Names for --effect: {', '.join(named)}{file}."] if named else []
     notes += common_errors_notes(diagnosis.common_errors, "the effects", diagnosis.rejected_common_errors)
     notes += [f"The data exclude {r.effect.title}, which was not tested: {r.reason}." for r in diagnosis.refuted]
     if diagnosis.effects and diagnosis.untried_waves is not None:
@@ -1495,7 +1569,7 @@ def _notes(diagnosis: Diagnosis, given: GivenModel) -> list[str]:
         notes += inertia_curve_notes([e.effect for e in diagnosis.effects])
     else:
         notes.append(f"No effect was added. {_model_for_use(diagnosis, given)}")
-    return [_of_predicted_data(note, diagnosis) for note in notes] + _flag_notes(diagnosis.after.fit)
+    return [*of_judging_data(notes, diagnosis.cross_validated), *_flag_notes(diagnosis.after.fit)]
 
 
 def inertia_curve_notes(effects: Iterable[Effect]) -> list[str]:

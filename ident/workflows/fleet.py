@@ -258,7 +258,8 @@ def portable(vehicle: VehicleRequest) -> VehicleRequest:
     elif is_saved_model(model):
         model = str(Path(model).absolute())
     thruster = None if vehicle.thruster is None else vehicle.thruster.absolute()
-    return replace(vehicle, model=model, thruster=thruster, out=Path())
+    own = None if vehicle.effects_file is None else vehicle.effects_file.absolute()
+    return replace(vehicle, model=model, thruster=thruster, effects_file=own, out=Path())
 
 
 def settings_of(vehicle: VehicleRequest) -> dict[str, Any]:
@@ -273,7 +274,7 @@ def settings_of(vehicle: VehicleRequest) -> dict[str, Any]:
         value = getattr(vehicle, option.name)
         if value != getattr(default, option.name):
             found[option.name] = msgspec.to_builtins(value, enc_hook=str)
-    files = {"thruster": vehicle.thruster}
+    files = {"thruster": vehicle.thruster, "effects_file": vehicle.effects_file}
     if is_own_model(vehicle.model):
         files["model"] = Path(vehicle.model.rpartition(":")[0])
     elif is_saved_model(vehicle.model):

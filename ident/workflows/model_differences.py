@@ -39,13 +39,22 @@ def _description(saved: SavedModel) -> dict[DifferenceKind, tuple[str, ...]]:
         "structure": (_structure_name(model),),
         "effects": tuple(e.name for e in model.effects),
         "inputs": _distinct(x.tap_of or x.name for x in model.inputs),
-        "channels": tuple(o.name for o in model.outputs),
+        "channels": _measured_channels(saved),
         "estimated": tuple(p.name for p in model.parameters if p.free),
         "fixed": tuple(_value_text(p) for p in model.parameters if not p.free),
         "priors": tuple(text for p in model.parameters if (text := _prior_text(p))),
         "logs": _distinct(_log_name(str(line)) for line in saved.provenance.get("logs", ())),
         "method": ("REML" if saved.reml else "maximum likelihood", f"filter of order {1 + model.second_order}"),
     }
+
+
+def _measured_channels(saved: SavedModel) -> tuple[str, ...]:
+    """Return the outputs of a model that the data of its fit contained; all outputs if the rates are unknown.
+
+    A user-defined model keeps its sensors without data: their rate is not in model.toml.
+    """
+    sensors = [s for s in saved.model.sensors if not saved.rates or s.name in saved.rates]
+    return tuple(o.name for s in sensors for o in s.outputs)
 
 
 def _structure_name(model: Model) -> str:

@@ -29,7 +29,6 @@ from seatrial.ident.estimation import (
     fit_nominal_model,
     homogeneity_test,
     nominal_model,
-    parameters_of_effects,
     profile,
     with_thrust_ahead,
 )
@@ -61,11 +60,14 @@ class VehicleFit:
         Content of result.json.
     uncertainty
         Uncertainty of the model that the standard errors include; None if there is none, or if it is unknown.
+    effects_file
+        Python file of the user-defined effects in the model; None if it has none.
     """
 
     fitted: FittedModel
     result: VehicleResult
     uncertainty: ModelUncertainty | None = None
+    effects_file: Path | None = None
 
 
 def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:
@@ -102,7 +104,8 @@ def write_vehicle_fit(done: VehicleFit, out: Path, report: bool = True) -> None:
 
     The folder is created if it does not exist. Existing files of these names are replaced.
     """
-    write_model(out, done.result, done.fitted.fit, validity(done.fitted), rates=sensor_rates(done.fitted))
+    rates = sensor_rates(done.fitted)
+    write_model(out, done.result, done.fitted.fit, validity(done.fitted), done.effects_file, rates=rates)
     if report:
         write_page(out, done.result)
 
@@ -183,7 +186,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
             tested,
             dynamics_of(fitted) if with_dynamics else None,
             uncertainty,
-            parameters_of_effects(problem.model, request.effects),
+            problem.added,
         ),
     )
     scale = _command_scale(fitted.fit.model, loaded)
@@ -197,7 +200,7 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter, with_
     answer = " ".join(filter(None, [result.answer, problem.choice]))
     warnings, notes = (*result.warnings, *more), (*result.notes, *small)
     told = msgspec.structs.replace(result, answer=answer, warnings=warnings, notes=notes)
-    return VehicleFit(fitted, told, uncertainty)
+    return VehicleFit(fitted, told, uncertainty, problem.effects_file)
 
 
 class _CommandScale(NamedTuple):

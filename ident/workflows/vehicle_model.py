@@ -17,6 +17,7 @@ from seatrial.ident.estimation import (
     free_unknown_scale,
     load_model,
     nominal_model,
+    parameters_of_effects,
     set_initial_values,
     set_priors,
     with_effect_priors,
@@ -24,7 +25,7 @@ from seatrial.ident.estimation import (
     with_values_per_log,
 )
 from seatrial.ident.model import Model, ModelKind, ParameterOrigin
-from seatrial.ident.models import is_own_model, thrust_calibration, with_thrust_of
+from seatrial.ident.models import effects_for, is_own_model, thrust_calibration, with_thrust_of
 from seatrial.ident.results import NOMOTO, NOMOTO_LAG, UnusedSignal
 from seatrial.ident.workflows.check import with_estimator_errors, with_noise_floors
 from seatrial.ident.workflows.model_inputs import (
@@ -70,7 +71,10 @@ class VehicleRequest:
     priors
         Mean and standard deviation of the prior of each parameter, by name.
     effects
-        Names of effects of the catalogue that are added with free parameters.
+        Names of effects of the catalogue, or of ``effects_file``, that are added with free parameters.
+    effects_file
+        Python file of user-defined effects. Without one of their names in ``effects``, all of them are added. None: no
+        such effects.
     per_log
         Names of parameters of these effects that have a value of their own in each log.
     score_tests
@@ -102,6 +106,7 @@ class VehicleRequest:
     initial: Mapping[str, float] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     effects: Sequence[str] = ()
+    effects_file: Path | None = None
     per_log: Sequence[str] = ()
     score_tests: bool = True
     despite_faults: bool = False
@@ -137,6 +142,10 @@ class VehicleProblem:
     ahead
         Given thrust of one thruster at full speed ahead, and its standard uncertainty [N], if that astern is not known:
         c1 is then this thrust before a first fit (`scaled_to_ahead`). None if c1 needs no such fit.
+    added
+        Names of the parameters of the effects that the user has added.
+    effects_file
+        Python file of the user-defined effects in the model; None if it has none.
     """
 
     model: Model
@@ -148,6 +157,8 @@ class VehicleProblem:
     unused: list[UnusedSignal]
     choice: str = ""
     ahead: tuple[float, float] | None = None
+    added: tuple[str, ...] = ()
+    effects_file: Path | None = None
 
 
 def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tuple[Model, list[str]]:
@@ -312,7 +323,7 @@ def vehicle_problem(
     if curve is not None:
         model, calibration_notes = with_calibration(model, curve, user_defined=is_own_model(source))
         notes += calibration_notes
-    model = with_effects(_with_given_side(model, request), request.effects)
+    model, added = _with_requested_effects(_with_given_side(model, request), request)
     require_one_frame(model, [*loaded, *validation_logs])
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, fixed_notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
@@ -326,7 +337,20 @@ def vehicle_problem(
     unused = unused_signals(model, loaded, validation_logs)
     choice = inputs_sentence(model, [*loaded, *validation_logs]) if source == "auto" else ""
     notes, noise_notes, thrust = [*notes, *fixed_notes], [*noise_notes, *floors], thrust_from(model, loaded)
-    return VehicleProblem(model, segments, validation, notes, noise_notes, thrust, unused, choice, ahead)
+    return VehicleProblem(
+        model, segments, validation, notes, noise_notes, thrust, unused, choice, ahead, added, request.effects_file
+    )
+
+
+def _with_requested_effects(model: Model, request: VehicleRequest) -> tuple[Model, tuple[str, ...]]:
+    """Return the model with the effects of the request, and the names of their parameters.
+
+    The user-defined effects are called once with symbols. SeatrialError is raised as by `effects_for` and
+    `with_effects`.
+    """
+    own = {} if request.effects_file is None else effects_for(model, request.effects_file)
+    model = with_effects(model, request.effects, own)
+    return model, parameters_of_effects(model, request.effects, own)
 
 
 def _with_given_side(model: Model, request: VehicleRequest) -> Model:
@@ -371,7 +395,12 @@ def _saved_problem(
     file = None if curve is None else str(request.thruster)
     model, segments, validation, _ = model_of_logs(saved.model, path, loaded, validation_logs, file)
     model = with_effect_priors(model, loaded[0].vehicle, loaded[0].rig)
-    model = with_effects(_with_given_side(model, request), request.effects)
+    if saved.effects_file is not None and request.effects_file is not None:
+        raise SeatrialError(
+            f"--effects {request.effects_file}: {path} has effects of your own already ({saved.effects_file}); put all "
+            "of them into one Python file, and fit without the model.toml"
+        )
+    model, added = _with_requested_effects(_with_given_side(model, request), request)
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
     model = with_values_per_log(model, request.per_log)
@@ -379,4 +408,14 @@ def _saved_problem(
     check_names(nominal_model(model), request.profiles, len(loaded))
     notes = [*hold_lines(saved, [*loaded, *validation_logs]), *considered_notes(model), *notes]
     unused = unused_signals(model, loaded, validation_logs)
-    return VehicleProblem(model, segments, validation, notes, floors, thrust_from(model, loaded), unused)
+    return VehicleProblem(
+        model,
+        segments,
+        validation,
+        notes,
+        floors,
+        thrust_from(model, loaded),
+        unused,
+        added=added,
+        effects_file=request.effects_file or saved.effects_file,
+    )

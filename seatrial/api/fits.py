@@ -83,8 +83,10 @@ class FitOptions(TypedDict, total=False):
     priors : dict of str to (mean, standard deviation)
         Priors of parameters by name, in SI units and radians.
     effects : sequence of str
-        Names of effects of the catalogue to add to the model with free parameters. As for all lists of names, one name
-        may be given as text.
+        Names of effects of the catalogue, or of ``effects_file``, to add to the model with free parameters. As for all
+        lists of names, one name may be given as text.
+    effects_file : path
+        Python file with user-defined effects to add to the model: all of them, or those that ``effects`` names.
     per_log : sequence of str
         Names of parameters of these effects that have a value of their own in each log, such as ``["F_wx", "F_wy"]``
         of a wind that differs between the days of the logs.
@@ -121,6 +123,7 @@ class FitOptions(TypedDict, total=False):
     initial: Mapping[str, float]
     priors: Mapping[str, tuple[float, float]]
     effects: Sequence[str]
+    effects_file: PathLike
     per_log: Sequence[str]
     mass: float
     score_tests: bool
@@ -618,10 +621,21 @@ class MotionMethods:
         return steady(cast(Any, self), means, points, at)
 
 
+@dataclass(frozen=True, repr=False)
 class FittedVehicle(MotionMethods, FittedResult):
-    """Vehicle model that was fitted to logs. `fit` returns it."""
+    """Vehicle model that was fitted to logs. `fit` returns it.
+
+    Attributes
+    ----------
+    result : VehicleResult
+        Content of result.json.
+    effects_file : Path or None
+        Python file with user-defined effects that was given, or that the model.toml of ``model`` names; None without
+        one.
+    """
 
     result: VehicleResult
+    effects_file: Path | None = None
 
     def save(self, folder: PathLike) -> Path:
         """Write model.toml, result.json and report.html, as ``seatrial ident vehicle``, and return the folder.
@@ -642,7 +656,7 @@ class FittedVehicle(MotionMethods, FittedResult):
         from seatrial.ident.workflows.vehicle import VehicleFit, write_vehicle_fit
 
         out = output_folder(folder)
-        write_vehicle_fit(VehicleFit(self.fitted, self.result), out, report)
+        write_vehicle_fit(VehicleFit(self.fitted, self.result, effects_file=self.effects_file), out, report)
         return out
 
 
@@ -714,7 +728,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         them the fit is evaluated on ``logs``.
     **options
         `FitOptions`, which ``help(st.FitOptions)`` describes: thruster, thrust_of, fixed, initial, priors, effects,
-        per_log, mass, score_tests, profiles, outlier_model, reml, mean_order, horizon, rate, despite_faults, progress.
+        effects_file, per_log, mass, score_tests, profiles, outlier_model, reml, mean_order, horizon, rate,
+        despite_faults, progress.
 
     Returns
     -------
@@ -741,7 +756,7 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         command = python_call(fit, {"logs": logs, "model": model, "validate": validate, **options})
         done: VehicleFit = fit_vehicle(request, command, messages)
     warn_of_result(done.result, messages)
-    return FittedVehicle(done.result, done.fitted)
+    return FittedVehicle(done.result, done.fitted, done.effects_file)
 
 
 def vehicle_request(
@@ -780,6 +795,8 @@ def vehicle_request(
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
     if "thruster" in given:
         given["thruster"] = model_file(as_path(given["thruster"], "thruster"))
+    if given.get("effects_file") is not None:
+        given["effects_file"] = Path(given["effects_file"])
     how = replace(EstimationOptions(reml=True, mean_order=2), **estimation)
     source = model_source(str(model))
     return VehicleRequest(logs, validation, Path(), how, source, window=window, **given), progress

@@ -22,6 +22,7 @@ from seatrial.ident.report import (
     stacked,
     with_legend,
 )
+from seatrial.ident.results import data_name, judged_by_blocks
 
 if TYPE_CHECKING:
     from seatrial.api.series import Series
@@ -63,7 +64,8 @@ def prediction_figure(result: FitResult, channels: Sequence[str], record: str | 
             continue
         factor, unit = degrees_for(x.unit)
         turn = TURN_DEG if x.angle else None
-        panel = Panel(f"{x.channel} [{unit or '1'}], {x.record} ({x.role})")
+        of = data_name(x.role, judged_by_blocks(result)).removesuffix(" data")
+        panel = Panel(f"{x.channel} [{unit or '1'}], {x.record} ({of})")
         measured = _wrapped(factor * x.measured, turn)
         panel.traces.append(dots(x.t, measured, "measured", POINTS, turn=turn))
         if turn is not None:

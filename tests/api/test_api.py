@@ -1873,7 +1873,7 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.fit(logs[0], effects="skeg.py"), "effects skeg.py: takes the name of an effect"),
         (
             lambda logs, fit: st.fit(logs[0], effects=["wind", catalogue()["mismatch"]]),
-            "effects mismatch: takes the name of an effect of the catalogue or of an installed package",
+            "effects mismatch: takes the name of an effect; give the file that defines an effect of your own",
         ),
         (lambda logs, fit: st.fit(logs[0], fixed={"c7": 1.0}), "fixed c7"),
         (lambda logs, fit: st.fit(logs[0], priors={"m_u": 30.0}), "priors: m_u: give a pair of mean and standard"),

@@ -29,6 +29,7 @@ from seatrial.ident.results import (
     ThrustCurveResult,
     ThrusterResult,
     VehicleResult,
+    judged_by_blocks,
 )
 
 
@@ -110,18 +111,21 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
     diagnosis = result if isinstance(result, DiagnosisResult) else None
     changes = diagnosis.parameters_before_after if diagnosis else ()
     common = result.common_errors if isinstance(result, VehicleResult) else None
+    in_blocks = judged_by_blocks(result)
     return [
         *([answer.static_section(canvas, static, rpm_max)] if static else []),
         *([thruster.steady_section(canvas, bench), thruster.shaft_section(canvas, bench)] if bench else []),
         runs.prediction_section(canvas, result),
-        predictions.errors_section(result.errors, result.horizon_seconds, diagnosis.errors_caveat if diagnosis else ""),
+        predictions.errors_section(
+            result.errors, result.horizon_seconds, diagnosis.errors_caveat if diagnosis else "", in_blocks
+        ),
         runs.traces_section(canvas, result),
         runs.run_section(canvas, result.logs, result.inputs),
         dynamics.section(canvas, result.dynamics if isinstance(result, VehicleResult | DiagnosisResult) else None),
-        parameters.parameters_section(canvas, result.fit, changes, common),
+        parameters.parameters_section(canvas, result.fit, changes, common, in_blocks),
         parameters.profiles_section(canvas, profiled),
         residuals.section(canvas, result),
         *([search.section(canvas, diagnosis)] if diagnosis else []),
-        predictions.calibration_section(canvas, result.calibration, result.horizon_seconds),
+        predictions.calibration_section(canvas, result.calibration, result.horizon_seconds, in_blocks),
         predictions.next_section(diagnosis.next_experiment if diagnosis else None),
     ]

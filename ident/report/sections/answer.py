@@ -23,6 +23,8 @@ from seatrial.ident.results import (
     StaticForce,
     candidate_title,
     curve_words,
+    data_name,
+    judged_by_blocks,
 )
 
 MAX_KEY_PARAMETERS = 9
@@ -59,8 +61,9 @@ def headline(result: DiagnosisResult) -> list[Any]:
     diverged = [name for name, row in data.horizon.items() if row.before is None or row.after is None]
     if not items:
         return []
+    data_words = data_name(role, judged_by_blocks(result))
     caption = (
-        f"RMS prediction error {result.horizon_seconds:g} s ahead on {role} data, before → after. The axis is the "
+        f"RMS prediction error {result.horizon_seconds:g} s ahead on {data_words}, before → after. The axis is the "
         "ratio to the error before; the thin line is its 95 % interval. A channel is coloured only if its interval "
         "excludes an unchanged error."
     )

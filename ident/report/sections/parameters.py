@@ -41,6 +41,7 @@ from seatrial.ident.results import (
     ParameterRow,
     ProfileCurve,
     SegmentInformation,
+    data_name,
 )
 
 SMALLEST_T = 1e-3  # smaller t statistics are shown as zero
@@ -56,6 +57,7 @@ def parameters_section(
     fit: FitSummary,
     changes: Sequence[ParameterChange] = (),
     common_errors: CommonErrorsRow | None = None,
+    in_blocks: bool = False,
 ) -> Section:
     """Return the section of estimates: facts and table of the fit, changes by effects, and correlation.
 
@@ -92,19 +94,19 @@ def parameters_section(
                 where = f", {row.record}" if row.record else ""
                 blocks.append(Prose(f"⚠ {row.name}{where}: {row.flag}"))
     blocks += (
-        common_errors_blocks(common_errors)
+        common_errors_blocks(common_errors, in_blocks)
         + _change_blocks(changes)
         + _correlation_blocks(canvas, fit.correlation, table)
     )
     return Section("parameters", "Parameters", blocks)
 
 
-def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
+def common_errors_blocks(row: CommonErrorsRow | None, in_blocks: bool) -> list[Any]:
     """Return heading, sentence and table of the common errors; an empty list if ``row`` is None.
 
     Common errors are small errors that every craft has: sensor timing, mounting, hull form. The sentence has the gain
     of the likelihood by them; if it is unknown, it states that they were in the given model. The table has the
-    estimates of their parameters.
+    estimates of their parameters. ``in_blocks``: whether blocks of time take the place of validation logs.
     """
     if row is None:
         return []
@@ -118,9 +120,10 @@ def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
     note = "small errors of sensors and hull form that every craft has, estimated together"
     words = "They were in the model that was given."
     if row.gain is not None and row.validation_gain is not None and row.t is not None:
+        judging = data_name("validation", in_blocks)
         words = (
             f"Together they gain {formatting.plain(row.gain)} in 2 ln L of the estimation data with {row.df} "
-            f"parameters, and {formatting.plain(row.validation_gain)} in ln L of the validation data "
+            f"parameters, and {formatting.plain(row.validation_gain)} in ln L of the {judging} "
             f"(t = {formatting.plain(row.t, 2)})."
         )
     return [Heading("Common errors", note), Prose(words), Table(columns, cells)]

@@ -22,6 +22,8 @@ from seatrial.ident.results import (
     Provenance,
     UnusedSignal,
     Verdict,
+    data_name,
+    of_judging_data,
 )
 
 T = TypeVar("T")
@@ -73,7 +75,7 @@ def compared(errors: Errors) -> bool:
     return any(row.before is not None and row.before != row.after for kind in kinds for row in kind.values())
 
 
-def errors_section(errors: Errors, seconds: float, caveat: str = "") -> Section:
+def errors_section(errors: Errors, seconds: float, caveat: str = "", in_blocks: bool = False) -> Section:
     """Return the section with the tables of RMS prediction errors: one tab for validation, one for estimation data.
 
     With one model, a table has the fit in per cent; with two models, the ratio of their errors. The section is empty if
@@ -87,6 +89,8 @@ def errors_section(errors: Errors, seconds: float, caveat: str = "") -> Section:
         Prediction horizon [s].
     caveat : str
         Sentences on how the errors were computed, which follow the lead; empty: none.
+    in_blocks : bool
+        Whether blocks of time take the place of validation logs.
     """
     has_before = compared(errors)
     table = _before_after_table if has_before else _error_table
@@ -95,7 +99,7 @@ def errors_section(errors: Errors, seconds: float, caveat: str = "") -> Section:
     for role, data in roles:
         kinds = horizons(data, seconds)
         words = unmarked_rises(kinds) if has_before else ""
-        tabs.append((f"{role} data", [*table(kinds), *([Prose(words)] if words else [])]))
+        tabs.append((data_name(role, in_blocks), [*table(kinds), *([Prose(words)] if words else [])]))
     lead = "Root mean square of the difference of measured and predicted values."
     if has_before:
         lead += " ▼ and ▲: the error fell or rose by more than 0.5 %, and the 95 % interval of the ratio excludes 1."
@@ -266,7 +270,7 @@ VERDICTS: dict[Verdict, Cell] = {
 }
 
 
-def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: float) -> Section:
+def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: float, in_blocks: bool = False) -> Section:
     """Return the section of the calibration of the prediction intervals.
 
     It has one tab for validation data and one for estimation data, each with a table and reliability plots. It is empty
@@ -280,9 +284,12 @@ def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: floa
         Calibration of each channel by set of data and kind of prediction.
     seconds : float
         Prediction horizon [s].
+    in_blocks : bool
+        Whether blocks of time take the place of validation logs.
     """
     roles = by_role(calibration.validation, calibration.estimation)
-    tabs = [(f"{role} data", _calibration_blocks(canvas, role, data, seconds)) for role, data in roles]
+    named = [(data_name(role, in_blocks), data) for role, data in roles]
+    tabs = [(name, _calibration_blocks(canvas, name, data, seconds)) for name, data in named]
     lead = (
         "The model predicts the standard deviation of its own errors. It is calibrated if 50 % and 95 % of the errors "
         "are inside the 50 % and 95 % intervals, and if the errors over their predicted standard deviation are about "
@@ -291,20 +298,22 @@ def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: floa
         "validation data in the column widened by: further data then lie inside the 95 % intervals as often as they "
         "should. model.toml has the factors, so that `seatrial ident compare` widens its intervals too."
     )
-    return Section("calibration", "Calibration of the prediction intervals", tabbed(tabs), lead)
+    return Section(
+        "calibration", "Calibration of the prediction intervals", tabbed(tabs), of_judging_data(lead, in_blocks)
+    )
 
 
-def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, seconds: float) -> list[Any]:
+def _calibration_blocks(canvas: Canvas, name: str, data: CalibrationTable, seconds: float) -> list[Any]:
     """Return the blocks of the calibration on one set of data: a table, and a reliability plot for each kind.
 
-    The kinds of prediction are one step ahead, over the horizon of ``seconds`` [s], and simulation. ``role`` is
-    ``estimation`` or ``validation``. The plots are added to ``canvas``. The list is empty without channels.
+    The kinds of prediction are one step ahead, over the horizon of ``seconds`` [s], and simulation. ``name`` is
+    that of the data (`data_name`). The plots are added to ``canvas``. The list is empty without channels.
     """
     lines: list[list[Cell | str]] = []
     plots = []
     for title, found in zip(titles(seconds), (data.one_step, data.horizon, data.simulation), strict=True):
         lines += [[Cell(title, "group")], *(_calibration_cells(n, row) for n, row in found.items())] if found else []
-        plot = _reliability_plot(canvas, f"{title}, {role} data", found)
+        plot = _reliability_plot(canvas, f"{title}, {name}", found)
         plots += [plot] if plot is not None else []
     if not lines:
         return []

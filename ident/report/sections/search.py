@@ -36,6 +36,7 @@ from seatrial.ident.results import (
     RefitRow,
     ResidualForce,
     RoundRow,
+    of_judging_data,
 )
 
 MAX_BARS = 14  # candidates in the chart of a round
@@ -64,17 +65,24 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
         Result of a diagnosis.
     """
     found, removed = result.rounds, {row.name for row in result.removed_effects}
-    rounds = [(_round_title(i, row, removed), _round_blocks(row, removed)) for i, row in enumerate(found, 1)]
-    blocks: list[Any] = common_errors_blocks(result.common_errors) + tabbed(rounds, all_printed=True)
+    rounds = [
+        (_round_title(i, row, removed), _round_blocks(row, removed, result.cross_validated))
+        for i, row in enumerate(found, 1)
+    ]
+    blocks: list[Any] = common_errors_blocks(result.common_errors, result.cross_validated) + tabbed(
+        rounds, all_printed=True
+    )
     blocks += _residual_force_blocks(canvas, result) + _curve_blocks(canvas, result.nonparametric_effects)
     blocks += _detectable_blocks(result.detectable)
     lead = (
         "Each round tests all candidates (effects that the model may lack) on the residuals by score tests, and refits "
         "the model with the best of them. Their ΔBIC is the gain 2 Δln L less df ln n. The validation data decide "
         "whether an effect is added: their likelihood has to rise with t above 2, or with t above 1 if t over "
-        "estimation and validation data together is above 3."
+        "estimation data and validation data together is above 3."
     )
-    return Section("search", "Search for missing effects", blocks, lead if found else "")
+    return Section(
+        "search", "Search for missing effects", blocks, of_judging_data(lead, result.cross_validated) if found else ""
+    )
 
 
 def _detectable_blocks(detectable: Sequence[DetectableEffect]) -> list[Any]:
@@ -120,18 +128,19 @@ def _round_title(i: int, row: RoundRow, removed: Collection[str]) -> str:
     return f"Round {i}: {row.chosen or 'nothing added'}{', removed again' if row.chosen in removed else ''}"
 
 
-def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
+def _round_blocks(row: RoundRow, removed: Collection[str], in_blocks: bool) -> list[Any]:
     """Return the contents of the tab of a search round: reason of the choice, chart of candidates, table of refits.
 
     ``removed`` has the names of the effects that were removed again later. If the effect of this round is among them, a
-    paragraph states that, and the effect is not marked as added.
+    paragraph states that, and the effect is not marked as added. ``in_blocks``: whether blocks of time take the place
+    of validation logs.
     """
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     if row.chosen in removed:
         words = "This effect was removed again; the notes have the reason."
         blocks.append(Prose(words, "why"))
     chosen = None if row.chosen in removed else row.chosen
-    return blocks + ranking(row, chosen) + _refits_table(row, chosen)
+    return blocks + ranking(row, chosen) + _refits_table(row, chosen, in_blocks)
 
 
 def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
@@ -203,10 +212,11 @@ def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str
     )
 
 
-def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
+def _refits_table(row: RoundRow, chosen: str | None, in_blocks: bool) -> list[Any]:
     """Return heading and table of the refits of a search round; an empty list without refits.
 
-    ``chosen`` is the name of the effect that was added and not removed again, None if there is none.
+    ``chosen`` is the name of the effect that was added and not removed again, None if there is none. ``in_blocks``:
+    whether blocks of time take the place of validation logs.
     """
     found = row.refits
     columns = (
@@ -215,15 +225,15 @@ def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
         ("gain 2 Δln L", "num"),
         ("df", "num"),
         ("ΔBIC", "num"),
-        ("Δln L on validation data", "num"),
+        (of_judging_data("Δln L on validation data", in_blocks), "num"),
         ("t", "num"),
         ("outcome", ""),
     )
     heading = Heading("Refits with the best candidates")
-    return [heading, Table(columns, [_refit_cells(r, chosen) for r in found])] if found else []
+    return [heading, Table(columns, [_refit_cells(r, chosen, in_blocks) for r in found])] if found else []
 
 
-def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
+def _refit_cells(row: RefitRow, chosen: str | None, in_blocks: bool) -> list[Cell | str]:
     """Return the table cells of one refit: effect, estimates, gains and outcome. Up to three estimates are printed.
 
     The gains are 2 d ln L with the number of parameters, the criterion, and d ln L on the validation data with its t
@@ -242,7 +252,8 @@ def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
         Cell(formatting.plain(row.criterion), "num"),
         Cell(formatting.plain(row.validation_gain), "num"),
         Cell(formatting.plain(row.t, 2), "num"),
-        OUTCOMES[row.outcome] + (", removed again" if row.outcome == "added" and not won else ""),
+        of_judging_data(OUTCOMES[row.outcome], in_blocks)
+        + (", removed again" if row.outcome == "added" and not won else ""),
     ]
 
 

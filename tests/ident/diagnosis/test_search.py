@@ -514,6 +514,77 @@ def test_only_forces_of_two_velocities_have_the_page_on_them() -> None:
     assert "unexplained Y(u, r) means" in _two_velocities_sentence("Y(u, r)")
 
 
+SKEG = Effect("skeg", "a skeg or drag aft", {})
+YAW_CURVE = Score("N(v, r)", 190.0, 3, 80.0, {}, {}, threshold=22.0, curve=ForceCurve("N", "v", "r"))
+
+
+def removed_again(effect: Effect, explained: tuple[str, ...], remaining: tuple[Score, ...], own: bool) -> Diagnosis:
+    """Return a diagnosis whose only effect, supported by the data, was removed as the prediction is no better."""
+    chosen, score = replace(refit(effect.name, 200.0), effect=effect), Score(effect.name, 225.0, 1, 80.0, {}, {})
+    passed = (effect.name, *(s.name for s in remaining))
+    return Diagnosis(
+        blank(),
+        blank(cross_validated=False),
+        (Round((score, *remaining), passed, (chosen,), chosen, explained=explained),),
+        (*remaining, score),
+        (),
+        removed=(RemovedEffect(effect, 96.0, 5.7, SAME),),
+        own_effects=(effect.name,) if own else (),
+    )
+
+
+def test_an_effect_of_ones_own_that_explains_the_other_candidates_says_so() -> None:
+    answer = diagnosis_answer(removed_again(SKEG, ("N(v, r)",), (YAW_CURVE,), own=True), None, 10.0)
+    assert (
+        "No effect of the catalogue or of your own improves the prediction: a skeg or drag aft (your effect" in answer
+    )
+    assert (
+        "It also explains what another candidate would otherwise explain, which is then too weak to be tried: yaw "
+        "moment that follows the product of sway speed and yaw rate, N(v, r). It is left out because the prediction"
+    ) in answer
+    assert "`seatrial ident vehicle --effects FILE.py --effect skeg` estimates it with the model." in answer
+    assert "section 11" not in answer  # the effect explains the curve
+    none = diagnosis_answer(Diagnosis(blank(), blank(), (), (), (), own_effects=("skeg",)), None, 10.0)
+    assert none.startswith(
+        "No effect is missing: the data show neither an effect of the catalogue or of your own nor a"
+    )
+
+
+def test_a_stronger_curve_makes_the_name_of_a_removed_effect_uncertain_and_has_the_page() -> None:
+    """With waves in the model, one answer offered a swinging mount and was silent about N(v, r)."""
+    mount = Effect("swinging-mount", "a thruster that swings in its mount", {})
+    answer = diagnosis_answer(removed_again(mount, (), (YAW_CURVE,), own=False), None, 10.0)
+    assert "No effect of the catalogue improves the prediction" in answer
+    assert (
+        "The strongest candidate of the score tests is another one, and is not in the model either: yaw moment that "
+        "follows the product of sway speed and yaw rate, N(v, r). So the name of this effect is uncertain. What an "
+        "unexplained N(v, r) means, and what to do: documentation, Theory, Diagnosis, section 11."
+    ) in answer
+    assert "uncertain" not in diagnosis_answer(removed_again(mount, (), (), own=False), None, 10.0)
+
+
+def test_the_search_records_the_candidates_that_an_added_effect_explains(monkeypatch: pytest.MonkeyPatch) -> None:
+    strong = {n: Score(n, 900.0, 1, 80.0, {}, {}, threshold=22.0) for n in ("skeg", "wind", "current")}
+    tested = iter([list(strong.values()), [strong["current"]], []])
+    s = _Search([], [], {n: Effect(n, n, {}) for n in strong}, QUIET)
+    rounds = iter([replace(refit(n, 200.0), effect=Effect(n, n, {})) for n in ("skeg", "current")])
+
+    def scored(_search: _Search, _current: FittedModel) -> Any:
+        passed = next(tested)
+        return passed, passed
+
+    def run_round(_search: _Search, _current: FittedModel, scores: list[Score], tried: list[Score]) -> Round:
+        chosen = next(rounds)
+        return Round(tuple(scores), tuple(x.name for x in tried), (chosen,), chosen)
+
+    monkeypatch.setattr(_Search, "scored", scored)
+    monkeypatch.setattr(_Search, "_run_round", run_round)
+    monkeypatch.setattr(_Search, "add_common_errors", lambda *_: None)
+    monkeypatch.setattr(_Search, "_report_round", lambda *_: None)
+    s.forward(blank(), 3)
+    assert [r.explained for r in s.rounds] == [("wind",), ()]
+
+
 def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None:
     """No fit of a thruster takes effects: only the diagnosis adds them."""
     scores = (Score("cell-lag", 133.0, 1, 46.0, {}, {}, threshold=22.0),)

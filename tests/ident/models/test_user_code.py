@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from pathlib import Path
 
 import numpy as np
@@ -224,3 +225,35 @@ def test_decay_test_of_the_how_to_is_fitted_by_its_command(
     assert [line for line in capsys.readouterr().err.splitlines() if line.startswith("seatrial:")] == block_with(
         "rolling.py", "text"
     ).splitlines()
+
+
+def test_a_missing_import_says_where_python_does_not_look(tmp_path: Path) -> None:
+    (tmp_path / "neighbour_of_weed.py").write_text("EFFECT = 1\n")
+    file = tmp_path / "own.py"
+    file.write_text("from neighbour_of_weed import EFFECT\n")
+    said = f"No module named 'neighbour_of_weed'; neighbour_of_weed is beside this file, .* set PYTHONPATH={tmp_path}"
+    with pytest.raises(SeatrialError, match=said):
+        load_effects(file)
+    file.write_text("import no_such_package.part\n")
+    with pytest.raises(SeatrialError, match=r"'no_such_package'; install this package, or add the folder that has"):
+        load_effects(file)
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("own:boat", "give the file with its ending, own.py:boat"),
+        ("own.boat", "give the file with its ending, own.py:boat"),
+        ("own", "give the file with its ending, and the name of the model in it, own.py:NAME"),
+        ("own.py", "give the name of the model in the file too, own.py:NAME"),
+        ("other:boat", "choose horizontal, "),
+        ("own.py:EFFECT", "an effect is given with --effects FILE.py"),
+    ],
+)
+def test_the_bare_name_of_a_model_of_ones_own_is_corrected(
+    source: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text(OWN)
+    with pytest.raises(SeatrialError, match=re.escape(said)):
+        make_model(source)

@@ -668,7 +668,7 @@ def test_blocks_of_a_log_share_a_tab(diagnosis: dict[str, Any], tmp_path: Path) 
     name = result["logs"][0]["name"]
     text = written(result, tmp_path)
     page = Page(text)
-    assert f"validation · {name}, 5 blocks" in page.words
+    assert f"blocks of time · {name}, 5 blocks" in page.words
     assert f"{name}[" not in text
     inputs = [f for f in page.figures().values() if "n_" in str(f["layout"].get("annotations", ""))]
     assert len(inputs) == 1
@@ -682,3 +682,22 @@ def test_angle_of_each_block_is_beside_the_samples() -> None:
     angle = np.array([0.0, 100.0, 200.0, 300.0, np.nan, 700.0, 710.0, np.nan, -350.0, -360.0])
     shifted = drawing.beside(t, angle, t, np.zeros(10))
     np.testing.assert_allclose(shifted, [0, 100, 200, 300, np.nan, -20, -10, np.nan, 10, 0])
+
+
+@pytest.mark.parametrize("in_blocks", [False, True])
+def test_no_label_of_a_page_names_validation_data_without_validation_logs(
+    small: dict[str, Any], in_blocks: bool, tmp_path: Path
+) -> None:
+    """Tables and figures of a diagnosis without --validate are about blocks of time of the estimation logs."""
+    content = copy.deepcopy(small) | {"cross_validated": in_blocks, "notes": [], "caveat": None}
+    for row in content["rounds"]:
+        row["why"] = ""
+    if in_blocks:
+        for row in content["logs"]:
+            row["role"] = "estimation"
+    shown = printed(content)
+    page = re.sub(r"<(script|style)\b.*?</\1>", "", written(content, tmp_path), flags=re.S)
+    page = re.sub(r"<[^>]+>", " ", page)
+    named = [text.count("blocks of time") for text in (shown, page)]
+    wrong = [len(re.findall("validation data", text, re.I)) for text in (shown, page)]
+    assert (min(named) > 0, max(wrong) == 0) == (in_blocks, in_blocks)

@@ -307,7 +307,7 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
     nearly = change_sentence(msgspec.structs.replace(same, ratio=0.57, low=0.32, high=1.01), 10.0)
     assert nearly.endswith(
         "(-43 %; 95 % interval: -68 to +1 %). The error is probably smaller with the effects: a shorter horizon "
-        "(--horizon 5) or more validation data can decide."
+        "(--horizon 5) or more data can decide."
     )
     for ratio, high in ((0.57, 1.06), (0.97, 1.01)):  # an end far from no change, and a small change
         other = msgspec.structs.replace(same, ratio=ratio, low=0.3, high=high)
@@ -360,6 +360,26 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     )
     far["ax"] = ErrorComparison(after=None, unit="", spread=1.0)
     assert "all channels: it diverges (surge" in vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
+
+
+def test_a_simulation_that_is_much_worse_than_the_prediction_is_stated() -> None:
+    """A fit of 89 % over 10 s was the whole headline of a model whose simulation was 10 m and 30 deg wrong."""
+    units = {"psi": "rad", "x": "m", "r": "rad/s"}
+    ahead = {n: ErrorComparison(after=0.1, unit=unit, spread=1.0) for n, unit in units.items()}
+    fitted = PredictionFit(role="estimation", fit=0.89, low=0.85, high=0.92)
+
+    def answer(**simulated: float | None) -> str:
+        rows = {n: ErrorComparison(after=e, unit=units[n], spread=1.0) for n, e in simulated.items()}
+        errors = Errors(estimation=ErrorTable(one_step={}, horizon=ahead, simulation=rows))
+        return vehicle_answer(fitted, errors, 10.0, [], [], searchable=True)
+
+    assert (
+        " The simulation of the whole runs by the inputs alone is much worse: its errors are 4 times those 10 s ahead "
+        "(geometric mean of all channels), most in position north, 1.6 m in place of 0.10 m (rms). There are too few"
+    ) in answer(psi=0.4, x=1.6, r=0.1)
+    assert "most in heading, 92 deg in place of 5.7 deg (rms)" in answer(psi=1.6, x=0.4)
+    assert "simulation" not in answer(psi=0.2, x=0.4, r=0.1)  # twice as large
+    assert "by the inputs alone diverges (heading): do not use" in answer(psi=None, x=0.1)
 
 
 def test_untested_residuals_are_not_called_white() -> None:

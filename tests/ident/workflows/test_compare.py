@@ -220,6 +220,10 @@ def test_a_comparison_says_what_differs_between_the_models(compared: ComparisonR
     assert found["logs"].here == ("run9.mcap (012345)",)
     assert found["logs"].in_reference[0].startswith("run1.mcap (")
     assert model_differences(saved, replace(saved, reml=not saved.reml))[0].kind == "method"
+    # A model of one's own keeps its accelerometer on logs without accelerations, which have no rate.
+    no_position = {name: rate for name, rate in saved.rates.items() if name != "position"}
+    (unseen,) = model_differences(saved, replace(saved, rates=no_position))
+    assert (unseen.kind, unseen.here, unseen.in_reference) == ("channels", (), ("x", "y"))
     named = msgspec.structs.replace(
         compared, models=(reference, msgspec.structs.replace(same, differences=tuple(found.values())))
     )

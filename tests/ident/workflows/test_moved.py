@@ -14,10 +14,11 @@ from pathlib import Path
 
 import pytest
 
+import seatrial as st
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation.model_file import load_model
-from seatrial.ident.models.user_code import trusting_code
+from seatrial.ident.models.user_code import load_effects, trusting_code
 from tests.ident.models.test_user_code import MAP, OWN, decay
 from tests.missions import boat_log, boat_with
 from tests.test_how_to import ROOT
@@ -232,3 +233,32 @@ def test_user_effects_are_found_from_any_folder_and_stay_with_the_model(
     assert again["effects_sha256"] == first["effects_sha256"]
     monkeypatch.chdir("/")
     assert load_model(tmp_path / "two/model.toml").effects_file == tmp_path / "two/own.py"
+
+
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")  # signals that the model does not use
+def test_a_fit_adds_user_effects_from_a_file_and_keeps_them_with_the_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    """Only a diagnosis took a file of effects. A model of one's own, which a fit took, has no score tests."""
+    monkeypatch.chdir(tmp_path)
+    boat_log(Path("a.mcap"), boat_with(None, 3), 60.0, 7, 0)
+    Path("mine").mkdir()
+    Path("mine/own.py").write_text(OWN)
+    (name,) = load_effects(Path("mine/own.py"))
+    words = ("ident", "vehicle", "a.mcap", "--no-score-tests", "--effects", "mine/own.py", "--effect")
+    assert run(*words, "gnss-latency", "--out", "all") == 0
+    assert run(*words, name, "--out", "named") == 0
+    assert {name, "gnss-latency"} <= {e.name for e in load_model(Path("all/model.toml")).model.effects}
+    assert "gnss-latency" not in {e.name for e in load_model(Path("named/model.toml")).model.effects}
+    # A fit of the saved model keeps the file, and takes no second one.
+    with trusting_code():
+        again = st.fit("a.mcap", model="named/model.toml", score_tests=False)
+        again.save("again")
+    assert load_model(Path("again/model.toml")).effects_file == Path("again/own.py")
+    capsys.readouterr()
+    assert run("ident", "vehicle", "a.mcap", "--model", "named/model.toml", "--effects", "mine/own.py", "--force") == 1
+    assert "named/model.toml has effects of your own already" in capsys.readouterr().err
+    in_python = st.fit("a.mcap", effects_file="mine/own.py", score_tests=False)
+    assert name in [e.name for e in in_python.fitted.fit.model.effects]
+    in_python.save("python")
+    assert run("ident", "export", "python/model.toml", "--to", "python", "--out", "plant") == 0

@@ -17,14 +17,17 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.data.loading import LoadedLog, load_all, load_run
 from seatrial.ident.diagnosis import search
+from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.model.outlier_density import robust_sensors
 from seatrial.ident.model.structure import Effect
+from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report.terminal import print_result
 from seatrial.ident.reporter import QUIET
-from seatrial.ident.results.commands import ONLY_CHOSEN
+from seatrial.ident.results.commands import ONLY_CHOSEN, untested_notes
 from seatrial.ident.workflows import diagnose as workflow
 from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
+from seatrial.ident.workflows.fleet import portable, settings_of
 from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 from tests.missions import boat_log, boat_with, rig_of
 
@@ -229,3 +232,27 @@ def test_chosen_effects_without_score_tests_name_the_errors_that_they_lack(logs:
     assert {"gnss-latency", "heading-lag", "cubic-drag"} <= {e.name for e in both.fitted.fit.model.effects}
     assert not any(n.startswith(ONLY_CHOSEN) for n in both.notes)
     assert any(n.endswith("errors of sensors and hull form: gnss-latency, heading-lag.") for n in both.notes)
+
+
+def test_the_note_on_a_model_of_ones_own_says_how_to_add_common_errors() -> None:
+    """The note said that --no-score-tests skips them, an option that was not given."""
+    own = replace(horizontal_model("shaft"), source="own.py:boat")
+    (bare,) = untested_notes(own, ())
+    assert "by score tests, because it is a model of your own: the standard errors" in bare
+    assert "hull form are not estimated; --effect adds one: " in bare
+    assert "gnss-latency" in bare
+    (some,) = untested_notes(own + catalogue()["gnss-latency"], ("tau_gnss",))
+    assert "Small errors of sensors and hull form in it: gnss-latency; --effect adds others: " in some
+    assert "--no-score-tests" not in bare + some
+    (built_in,) = untested_notes(horizontal_model("shaft"), ())
+    assert "--no-score-tests skips them" in built_in
+
+
+def test_the_file_of_user_effects_is_a_setting_of_a_fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text("EFFECT = 1", encoding="utf-8")
+    request = portable(VehicleRequest((), (), Path(), effects_file=Path("own.py")))
+    assert request.effects_file == tmp_path / "own.py"
+    before = settings_of(request)["effects_file"]
+    Path("own.py").write_text("EFFECT = 2", encoding="utf-8")
+    assert settings_of(request)["effects_file"] != before
