@@ -900,7 +900,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     """Return the beginning of the answer, ``The model lacks ...``, with the titles of the effects, without a full stop.
 
     Identified effects come first, then an ambiguous effect as "an effect that resembles ...", several of them as a list
-    ("effects that resemble: A; B"), then nonparametric effects.
+    ("effects that resemble: A; B"), then nonparametric effects. After an ambiguous effect, the text names the best of
+    the effects that explain the data as well ("A or, nearly as well, B").
     Nonparametric effects come first if the most important effect is nonparametric. If ambiguous effects come first, the
     text begins with "The missing effect resembles ...". The diagnosis must have at least one effect.
 
@@ -917,7 +918,9 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         words = in_words(r.effect, diagnosis.after)
         if _is_size_undetermined(r.effect, diagnosis):
             words = "its size is not determined"
-        titles[judged.attribution].append(f"{r.effect.title} ({words})" if words else r.effect.title)
+        title = f"{r.effect.title} ({words})" if words else r.effect.title
+        equals = _equal_rivals(judged, diagnosis) if judged.attribution == "ambiguous" else []
+        titles[judged.attribution].append(" or, nearly as well, ".join([title, *equals[:1]]))
     identified, ambiguous, nonparametric = titles.values()
     if nonparametric and diagnosis.attributions[0].attribution == "nonparametric":
         found = f"The model lacks {_joined_titles(nonparametric)}" if fell else _resemblance_clause(nonparametric)
@@ -931,6 +934,26 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         found = _resemblance_clause(ambiguous)
     comma = ";" if len(ambiguous) > 1 else ","  # after a list whose items are separated by semicolons
     return f"{found}{comma} and also {_joined_titles(nonparametric)}" if nonparametric else found
+
+
+def _equal_rivals(judged: EffectAttribution, diagnosis: Diagnosis) -> list[str]:
+    """Return the titles of the effects that explain the data as well as an ambiguous effect, the best one first.
+
+    They were refitted in the same round, are not excluded, and their criterion differs by at most
+    ``policy.max_distance``. Effects that the diagnosis has added too are left out.
+    """
+    added = {r.effect.name for r in diagnosis.effects}
+    rounds = (r for r in diagnosis.rounds if r.chosen is not None and r.chosen.effect.name == judged.effect)
+    found = next(rounds, None)
+    if found is None or found.chosen is None:
+        return []
+    best, distance = found.chosen.criterion, diagnosis.policy.max_distance
+    equal = [
+        q
+        for q in found.refits
+        if q.effect.name in judged.not_excluded and q.effect.name not in added and abs(best - q.criterion) <= distance
+    ]
+    return [q.effect.title for q in sorted(equal, key=lambda q: -q.criterion)]
 
 
 def _is_size_undetermined(effect: Effect, diagnosis: Diagnosis) -> bool:

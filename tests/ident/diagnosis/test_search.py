@@ -295,6 +295,21 @@ def test_headline_lists_several_ambiguous_effects_as_several(first: str) -> None
     assert what_is_lacking(found, fell=True) == f"{begin} that resemble: {listed}"
 
 
+@pytest.mark.parametrize(("criterion", "named"), [(80.0, True), (70.0, False)])
+def test_headline_names_the_rival_that_explains_the_data_as_well(criterion: float, named: bool) -> None:
+    chosen, rival, curve = (
+        Refit(Effect(n, f"a {n}", {}), blank(), 90.0, 1, bic, 30.0, 4.0)
+        for n, bic in (("mismatch", 82.0), ("thrust-angle", criterion), ("wind", 81.0))
+    )
+    judged = EffectAttribution("mismatch", "ambiguous", not_excluded=("wind-shear", "thrust-angle"))
+    found = Diagnosis(
+        blank(), blank(fit=blank(flags=())), (Round((), (), (rival, chosen, curve), chosen),), (), (), (judged,),
+        (EffectImportance("mismatch", 90.0, 1.3, 41.2, 5.34),),
+    )  # fmt: skip
+    begin = "The missing effect resembles a mismatch"
+    assert what_is_lacking(found, fell=True) == begin + " or, nearly as well, a thrust-angle" * named
+
+
 @pytest.mark.parametrize(("error", "change", "said"), [(0.07, SAME, True), (0.002, SAME, False), (0.07, FELL, False)])
 def test_headline_says_that_the_size_of_an_effect_is_not_determined(
     error: float, change: PredictionChange, said: bool
