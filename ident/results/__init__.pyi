@@ -32,6 +32,7 @@ from .campaigns import CombinationDifference as CombinationDifference
 from .campaigns import CommonFactor as CommonFactor
 from .campaigns import Difference as Difference
 from .campaigns import EffectDifference as EffectDifference
+from .campaigns import Evidence as Evidence
 from .campaigns import Family as Family
 from .campaigns import JointTest as JointTest
 from .campaigns import LogEstimate as LogEstimate
@@ -39,6 +40,7 @@ from .campaigns import NotCompared as NotCompared
 from .campaigns import NotComparedCode as NotComparedCode
 from .campaigns import ParameterDifference as ParameterDifference
 from .campaigns import campaigns_answer as campaigns_answer
+from .campaigns import q_beside as q_beside
 from .candidate_titles import candidate_title as candidate_title
 from .candidate_titles import curve_words as curve_words
 from .commands import AIMS as AIMS

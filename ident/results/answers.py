@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
+from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -1694,6 +1695,22 @@ def _course_doubt(t: float, logs: int) -> str:
     return f" This is not sure: {doubt}. To confirm it, fit a further log too, with {TURNS_FOR_STABILITY}."
 
 
+def _groups(a: HomogeneityTest) -> str:
+    """Return a sentence with the logs above and below the widest gap between the values; begins with a space.
+
+    The gap is measured in standard errors of both values beside it. Logs without a standard error, or that contain no
+    information about the parameter, are left out; the text is empty if fewer than two remain.
+    """
+    rows = zip(a.values, a.errors, a.records, strict=True)
+    told = sorted((v, e, n) for v, e, n in rows if math.isfinite(e) and e > 0.0 and n not in a.left_out)
+    if len(told) < 2:
+        return ""
+    gaps = [(high[0] - low[0]) / math.hypot(low[1], high[1]) for low, high in pairwise(told)]
+    k = 1 + max(range(len(gaps)), key=gaps.__getitem__)
+    below, above = (", ".join(sorted(n for _, _, n in part)) for part in (told[:k], told[k:]))
+    return f" The widest gap ({gaps[k - 1]:.1f} standard errors) is between {above} with larger values and {below}."
+
+
 def homogeneity_sentence(a: HomogeneityTest) -> str:
     """Return the sentence on a homogeneity test: one value of a parameter for all logs against one for each log.
 
@@ -1701,7 +1718,7 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
     the scatter between the logs. Logs that do not inform the parameter are named. If fewer than two logs inform it, the
     sentence states only that, and these names.
     """
-    each = ", ".join(plus_minus(v, e) for v, e in zip(a.values, a.errors, strict=True))
+    each = ", ".join(f"{plus_minus(v, e)} ({n})" for n, v, e in zip(a.records, a.values, a.errors, strict=True))
     low, high = a.interval
     unit = f" {a.unit}" if a.unit else ""
     verdict = "agree" if a.agree else "do not agree"
@@ -1716,7 +1733,8 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
     return (
         f"{a.name}: {plus_minus(a.value, a.error)}{unit} from all logs together (robust error {a.robust_error:.2g}); "
         f"from each log alone {each}. The logs {verdict} in one value (likelihood ratio {a.lr:.1f}, chi-square with "
-        f"{a.df} degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}). The scatter between the logs is "
+        f"{a.df} degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}).{'' if a.agree else _groups(a)} The "
+        "scatter between the logs is "
         f"{a.scatter:.2g}; {use} {plus_minus(a.mean, a.mean_error)}, "
         f"95 % interval {low:.3g} to {high:.3g}{unit}.{silent}"
     )

@@ -98,6 +98,9 @@ class FitOptions(TypedDict, total=False):
         a tested fit as ``model`` are kept.
     profiles : sequence of str
         Names of the parameters whose profile likelihood is computed.
+    homogeneity : sequence of str
+        Names of parameters that all logs share, for which the fit tests whether the logs agree in one value. The answer
+        has the value of each log, and names the logs that differ.
     outlier_model : bool
         Whether outliers are part of the noise of all sensors, so that they have little weight. False by default.
     reml : bool
@@ -125,6 +128,7 @@ class FitOptions(TypedDict, total=False):
     mass: float
     score_tests: bool
     profiles: Sequence[str]
+    homogeneity: Sequence[str]
     outlier_model: bool
     reml: bool
     mean_order: Literal[1, 2]

@@ -26,6 +26,7 @@ ARGUMENTS = {
     "--per-log": "per_log", "--validate": "validate", "--max-effects": "max_effects", "--exclude": "exclude",
     "--model": "model", "--horizon": "horizon", "--gnss-outage": "gnss_outages",
     "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
+    "--test-homogeneity": "homogeneity",
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
     "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",
     "--thrust-curve": "thrust_curve", "--thrust-input": "thrust_input", "--source-only": "source_only=True",
@@ -49,7 +50,7 @@ WITH_NUMBER = (
     "rate", "horizon", "max-effects", "settle", "n-max", "max-speed", "area", "energy", "current", "evaluations",
     "duration", "mass", "inertia", "jobs", "steps", "seed", "slew", "false-discovery-rate",
 )  # fmt: skip
-WITH_NAMES = ("effect", "exclude", "per-log", "profile")  # they may be repeated
+WITH_NAMES = ("effect", "exclude", "per-log", "profile", "test-homogeneity")  # they may be repeated
 VALUE_OF_OPTION = re.compile(
     rf"(?P<of_parameter>--(?:fix|initial|prior)) (?P<name>[A-Za-z]\w*)=(?P<value>{VALUE})(?::(?P<sd>{VALUE}))?"
     rf"|(?P<of_names>--(?:{'|'.join(WITH_NAMES)})) (?P<item>{NAME})"
