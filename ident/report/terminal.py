@@ -44,6 +44,7 @@ from seatrial.ident.results import (
     OTHER_SURROUNDINGS,
     RUNS_AWAY,
     SIMULATION_COVERS,
+    SIZE_NOT_SIGNIFICANT,
     THRUST_KNOWN,
     CampaignErrors,
     CampaignsResult,
@@ -75,7 +76,10 @@ from seatrial.ident.results import (
 )
 
 # Beginnings of the notes that the terminal shows
-SHOWN_NOTES = (SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, NOT_TESTED, ONLY_CHOSEN, THRUST_KNOWN, OTHER_SURROUNDINGS)
+SHOWN_NOTES = (
+    SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, NOT_TESTED, ONLY_CHOSEN, THRUST_KNOWN, OTHER_SURROUNDINGS,
+    SIZE_NOT_SIGNIFICANT,
+)  # fmt: skip
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 WIDEST_INTERVALS = 72  # characters of a line of the table of the 95 % intervals
 WIDEST_TEXT = 100  # characters of a line of texts in the table of what differs between models

@@ -6,6 +6,7 @@ from .answers import NOT_WEIGHED as NOT_WEIGHED
 from .answers import OTHER_SURROUNDINGS as OTHER_SURROUNDINGS
 from .answers import RUNS_AWAY as RUNS_AWAY
 from .answers import SIMULATION_COVERS as SIMULATION_COVERS
+from .answers import SIZE_NOT_SIGNIFICANT as SIZE_NOT_SIGNIFICANT
 from .answers import antenna_warning as antenna_warning
 from .answers import check_warnings as check_warnings
 from .answers import course_sentence as course_sentence

@@ -120,6 +120,8 @@ SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a sim
 SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 OTHER_SURROUNDINGS = "Effects of the surroundings of another day"  # begins the note of a comparison
 MOST_OF_ERROR = "A small part of the time has most of the squared error"  # begins the note of a comparison
+# Begins the note of a comparison on effects of some models
+SIZE_NOT_SIGNIFICANT = "Effects whose size is not significant in their own fit"
 RUNS_AWAY = "The simulation of a directionally unstable model can run away from the measured motion"  # begins a note
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
