@@ -1430,7 +1430,8 @@ def dead_zone_warnings(turning: Mapping[str, TurningShaft | None], dead_zone: fl
         f"to {held.end:.1f} s). The model has a shaft that follows the whole command outside its dead zone; a "
         "controller that subtracts its dead zone, or a low battery, gives less. d is then only the value with which "
         "this model predicts the shaft speeds best: an exported model keeps it, and gives no thrust at commands inside "
-        "it. Set no dead zone of an autopilot to d. Hold more small commands (seatrial bench steps), and let a "
+        "it. A boat model that is joined with it has a dead zone of zero. Set no dead zone of an autopilot to d. Hold "
+        "more small commands (seatrial bench steps), and let a "
         "diagnosis test the effect controller-dead-band."
     )
     return [ResultWarning(code="dead-zone-contradicted", text=text)]
