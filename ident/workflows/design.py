@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.config import (
+    ENOUGH_INSIDE,
     Mission,
     OperationArea,
     Prediction,
@@ -65,6 +67,7 @@ from seatrial.ident.experiment_design import (
     probability_of_true_model,
     reason_without_mission,
     reliable_duration,
+    rounded_up,
     row_spacing,
     separation_if_repeated,
 )
@@ -917,7 +920,32 @@ def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
     area = None if track is None else operation_area(track, limits)
     if track is None or area is None:
         return ""
-    return f". {area_sentence(area, track.x, track.y)}".removesuffix(".")
+    text = area_sentence(area, track.x, track.y)
+    enough = None if text.endswith("south-west corner.") else _enough_area(track, area)
+    if enough is None:
+        return f". {text}".removesuffix(".")
+    return f". {text} An area of {enough[0]:g} m by {enough[1]:g} m is large enough for this mission"
+
+
+def _enough_area(track: PredictedTrack, area: OperationArea) -> tuple[float, float] | None:
+    """Return the sides (north, east) [m] of an area about the same centre that the mission needs.
+
+    The nominal boat and the share `ENOUGH_INSIDE` of the sampled boats stay in it. None if their motion grows without
+    limit.
+    """
+    size = np.array(area.size)
+    centre = np.array(area.corner) + size / 2.0
+    nominal = np.stack([track.x, track.y], axis=1)
+    away = np.abs(track.others - centre).max(axis=1)  # of each boat, to the north and east
+    order = np.argsort(np.nan_to_num((away / size).max(axis=1), nan=np.inf), kind="stable")
+    kept = away[order[: math.ceil(ENOUGH_INSIDE * len(order))]]
+    half = np.vstack([kept, np.abs(nominal - centre).max(axis=0)]).max(axis=0)
+    if not np.isfinite(half).all():
+        return None
+    north, east = (
+        side if 2.0 * x <= side else rounded_up(2.0 * x) for side, x in zip(area.size, half.tolist(), strict=True)
+    )
+    return north, east
 
 
 def longer_mission_advice(apart: Discrimination, duration: float) -> str:

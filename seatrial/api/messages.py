@@ -35,6 +35,7 @@ ARGUMENTS = {
     "-o": "out", "--jobs": "jobs", "--n-max": "n_max", "--max-speed": "max_speed", "--area": "area",
     "--energy": "energy", "--current": "current", "--evaluations": "evaluations", "--duration": "duration",
     "--discriminate": "between", "--rate": "rate", "--steps": "steps", "--seed": "seed", "--slew": "slew",
+    "--prior-halfwidth": "prior_halfwidth",
     "--criterion": "criterion", "--parameters": "chosen", "--before": "before", "--after": "after", "--on": "logs",
     "--no-common-errors": "common_errors=False", "--false-discovery-rate": "false_discovery_rate",
     "--smooth": "smoothed=True", "--filter": "smoothed=False", "--name": "name", "--thrust-of": "thrust_of",

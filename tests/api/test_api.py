@@ -1980,6 +1980,7 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
         (lambda logs, fit: st.design("boat", "x.toml"), "boat"),
         (lambda logs, fit: st.design(fit, "x.toml", area=60.0), "area 60.0: give its sides to north and east in m, s"),
+        (lambda logs, fit: st.design(fit, "x.toml", prior_halfwidth=1.5), "prior_halfwidth 1.5: give a number from 0"),
         (lambda logs, fit: st.design(fit, "x.toml", max_speed=0), "max_speed 0: give a speed above zero, in m/s"),
         (lambda logs, fit: st.design(fit, "x.toml", energy=2.0), "energy 2.0: give a number from 1e-06 to 1 (full p"),
         (lambda logs, fit: st.design(fit, "x.toml", current="1"), "current '1': give a number from 0 to 2 m/s"),
