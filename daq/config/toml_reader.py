@@ -43,10 +43,10 @@ def parse_toml(text: str, source: Path | str) -> TomlTable:
         return TomlTable(tomllib.loads(text), str(source))
     except tomllib.TOMLDecodeError as error:
         raise SeatrialError(f"{source}: {_explained(text, error)}") from None
-    except (RecursionError, ValueError) as error:  # thousands of brackets, or a number with thousands of digits
+    except (RecursionError, ValueError):  # thousands of brackets, or a number with thousands of digits
         raise SeatrialError(
             f"{source}: cannot be read: tables are nested too deeply, or a number has too many digits; correct the text"
-        ) from error
+        ) from None
 
 
 def _explained(text: str, error: tomllib.TOMLDecodeError) -> str:
@@ -86,12 +86,12 @@ def read_text(path: Path) -> str:
             return file.read()
     except UnicodeDecodeError as error:
         if b"\0" in error.object:
-            raise SeatrialError(f"{path}: not a text file; give a TOML file") from error
-        raise SeatrialError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+            raise SeatrialError(f"{path}: not a text file; give a TOML file") from None
+        raise SeatrialError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     except OSError as error:
         raise SeatrialError(
             f"{path}: cannot be read: {error.strerror or error}; check its path and permissions"
-        ) from error
+        ) from None
 
 
 class ErrorCollector:

@@ -325,7 +325,8 @@ def errors_of_users(own: Mapping[str, str] = MappingProxyType({})) -> Iterator[N
 
     A SeatrialError, and the new text of ValueError and KeyError, get the arguments of the Python interface in place of
     command-line options, for example ``fixed`` for ``--fix``. Classes derived from SeatrialError and other errors pass
-    unchanged. The new error has the old one as its cause. ``own`` is that of `in_python`.
+    unchanged. The new error has the traceback and the cause of the old one, so that one traceback is shown. ``own`` is
+    that of `in_python`.
     """
     try:
         yield
@@ -333,6 +334,7 @@ def errors_of_users(own: Mapping[str, str] = MappingProxyType({})) -> Iterator[N
         text = in_python(str(problem), own)
         if type(problem) is not SeatrialError or text == str(problem):
             raise
-        raise SeatrialError(text) from problem
+        raise SeatrialError(text).with_traceback(problem.__traceback__) from problem.__cause__
     except (ValueError, KeyError) as problem:
-        raise SeatrialError(in_python(str(problem).strip("'\""), own)) from problem
+        text = in_python(str(problem).strip("'\""), own)
+        raise SeatrialError(text).with_traceback(problem.__traceback__) from problem.__cause__

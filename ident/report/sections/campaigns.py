@@ -90,7 +90,8 @@ def effect_words(effect: EffectDifference, result: CampaignsResult) -> tuple[str
     it from its value without the effect, and those that are needed, as in ``not significant: F_wx -0.6 ± 0.5 N
     (1.2 of 4.3)``.
     """
-    return effect.name, *(_presence(effect, result, c) for c in CAMPAIGNS), "changed" if effect.changed else ""
+    before, after = (_presence(effect, result, c) for c in CAMPAIGNS)
+    return effect.name, before, after, "changed" if effect.changed else ""
 
 
 def _presence(effect: EffectDifference, result: CampaignsResult, campaign: Literal["before", "after"]) -> str:
