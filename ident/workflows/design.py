@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -252,7 +253,9 @@ def make_design(
     here = provenance([], command)
     result = DesignResult(
         created=here.created, seatrial=here.seatrial, command=here.command,
-        answer=_design_answer(made, parameters, apart, found[best]) + _area_end(track, task.limits),
+        answer=_with_full_stop(
+            _design_answer(made, parameters, apart, found[best]) + _area_end(track, task.limits)
+        ),
         model=source, criterion=task.criterion if apart is None else "T", chosen=tuple(_criterion_parameters(task)),
         form="prediction error" if task.process_noise else "output error",
         value=made.value if apart is None else min(apart.if_first, apart.if_second),
@@ -912,6 +915,11 @@ def is_larger(criterion: float, than: float) -> bool:
     return criterion > than and format_number(criterion) != format_number(than)
 
 
+def _with_full_stop(answer: str) -> str:
+    """Return an answer that ends with a full stop if it has several sentences; one alone is a headline without it."""
+    return f"{answer.removesuffix('.')}." if re.search(r"[.!?] (?=[A-Z`])", answer) else answer
+
+
 def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
     """Return the end of the answer on the area of operation, after its last full stop; "" without an area or a track.
 
@@ -923,8 +931,8 @@ def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
     text = area_sentence(area, track.x, track.y)
     enough = None if text.endswith("south-west corner.") else _enough_area(track, area)
     if enough is None:
-        return f". {text}".removesuffix(".")
-    return f". {text} An area of {enough[0]:g} m by {enough[1]:g} m is large enough for this mission"
+        return f". {text}"
+    return f". {text} An area of {enough[0]:g} m by {enough[1]:g} m is large enough for this mission."
 
 
 def _enough_area(track: PredictedTrack, area: OperationArea) -> tuple[float, float] | None:

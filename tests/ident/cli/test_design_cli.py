@@ -346,6 +346,7 @@ def test_answer_and_mission_say_whether_the_boat_stays_in_the_area(
         f"{100 * inside:.0f} % of the boats with sampled parameters do"
     )
     assert words_of_area in result["answer"]
+    assert result["answer"].endswith(".")  # the page ended without a full stop
     assert words_of_area in " ".join(printed.split())
     assert words_of_area in run(capsys, "show", str(out))[1]
     assert ("To keep more of them inside" in result["answer"]) == (inside < 0.95)
