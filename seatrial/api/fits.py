@@ -718,7 +718,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         them the fit is evaluated on ``logs``.
     **options
         `FitOptions`, which ``help(st.FitOptions)`` describes: thruster, thrust_of, fixed, initial, priors, effects,
-        per_log, mass, score_tests, profiles, outlier_model, reml, mean_order, horizon, rate, despite_faults, progress.
+        per_log, mass, score_tests, profiles, homogeneity, outlier_model, reml, mean_order, horizon, rate,
+        despite_faults, progress.
 
     Returns
     -------

@@ -494,7 +494,7 @@ def design(
         Whether existing files are replaced. If false, an existing file is an error.
     **options
         `DesignOptions`, which ``help(st.DesignOptions)`` describes: duration, steps, criterion, chosen, between, area,
-        max_speed, energy, current, n_max, slew, shortest, rates, evaluations, seed, progress.
+        max_speed, energy, current, n_max, slew, shortest, rates, prior_halfwidth, evaluations, seed, progress.
 
     Returns
     -------

@@ -1983,6 +1983,11 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
         (lambda logs, fit: st.design("boat", "x.toml"), "boat"),
+        (
+            lambda logs, fit: st.fit_many(logs, homogeneity="d_uu"),
+            "homogeneity: this tests all logs of one fit together",
+        ),
+        (lambda logs, fit: st.fit(logs, homogeneity="zz", score_tests=False), "homogeneity zz: not a free parameter"),
         (lambda logs, fit: st.design(fit, "x.toml", area=60.0), "area 60.0: give its sides to north and east in m, s"),
         (lambda logs, fit: st.design(fit, "x.toml", prior_halfwidth=1.5), "prior_halfwidth 1.5: give a number from 0"),
         (lambda logs, fit: st.design(fit, "x.toml", max_speed=0), "max_speed 0: give a speed above zero, in m/s"),
