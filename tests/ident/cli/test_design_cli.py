@@ -724,7 +724,7 @@ def test_typical_size_follows_the_size_of_the_boat() -> None:
         ),
         (("thruster",), 1, "no mission can be designed for model thruster: it describes a thruster on its bench"),
         (("none.toml",), 1, "none.toml: cannot be read: No such file"),
-        (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),
+        (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give a larger area, such as --area "),
     ],
 )
 def test_invalid_request_gives_a_one_line_error(

@@ -487,7 +487,7 @@ def test_headings_of_a_simulation_are_continuous_beside_the_samples(compared: Co
         good = np.isfinite(y)
         assert good.sum() > 100
         np.testing.assert_allclose(y[good], np.interp(x[good], row.t, turning) + away, atol=0.01)
-    assert panel.y["dtick"] == 360.0
+    assert panel.y["dtick"] == 720.0  # at most six ticks
 
 
 def test_more_models_than_fit_into_a_row_get_several_tables(compared: ComparisonResult) -> None:
