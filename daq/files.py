@@ -41,8 +41,8 @@ def require_file(path: Path) -> None:
         opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
     except OSError as error:
         if error.errno == errno.ENXIO:  # a socket
-            raise SeatrialError(f"{path}: is not a file; give the path of a file") from error
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
+            raise SeatrialError(f"{path}: is not a file; give the path of a file") from None
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from None
     try:
         if not stat.S_ISREG(os.fstat(opened).st_mode):
             raise SeatrialError(f"{path}: is not a file; give the path of a file")
@@ -115,7 +115,7 @@ def make_parent(path: Path) -> None:
     except OSError as error:
         raise SeatrialError(
             f"{path}: the folder {path.parent} cannot be created: {error.strerror}; name another output"
-        ) from error
+        ) from None
 
 
 @contextlib.contextmanager

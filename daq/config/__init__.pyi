@@ -1,3 +1,4 @@
+from .mission_file import ENOUGH_INSIDE as ENOUGH_INSIDE
 from .mission_file import RAMP_DT as RAMP_DT
 from .mission_file import STATIC as STATIC
 from .mission_file import FloatArray as FloatArray

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import stat
 import tomllib
 from collections.abc import Callable, Collection, Mapping
@@ -14,6 +15,12 @@ from seatrial.daq.errors import SeatrialError, closest_name, counted
 
 _MISSING = object()  # default of a required key
 Read = TypeVar("Read")
+AT_LINE = re.compile(r"at line (\d+)")  # place of an error of the TOML parser
+# A value that begins with a number and goes on as a unit, or a word without quotes, with its key
+VALUE = re.compile(
+    r"(?P<key>[\w.-]+)\s*=\s*(?:(?P<value>[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)(?P<space>\s*)"
+    r"(?P<unit>[^\W\d_][\w/^²³·]*|[%°]\w*)|(?P<word>[^\W\d_]\w*(?:-\w+)*))\s*(?=[,}\]#]|$)"
+)
 HUGE = 1e15  # larger numbers are not printed, because they may have thousands of digits
 
 
@@ -35,11 +42,32 @@ def parse_toml(text: str, source: Path | str) -> TomlTable:
     try:
         return TomlTable(tomllib.loads(text), str(source))
     except tomllib.TOMLDecodeError as error:
-        raise SeatrialError(f"{source}: not valid TOML: {error}; correct the text there") from error
-    except (RecursionError, ValueError) as error:  # thousands of brackets, or a number with thousands of digits
+        raise SeatrialError(f"{source}: {_explained(text, error)}") from None
+    except (RecursionError, ValueError):  # thousands of brackets, or a number with thousands of digits
         raise SeatrialError(
             f"{source}: cannot be read: tables are nested too deeply, or a number has too many digits; correct the text"
-        ) from error
+        ) from None
+
+
+def _explained(text: str, error: tomllib.TOMLDecodeError) -> str:
+    """Return what is wrong with a TOML text, and what to write: a number with a unit or a text without quotes, if so.
+
+    The parser stops at the unit and names only its place.
+    """
+    place = AT_LINE.search(str(error))
+    lines = text.splitlines()
+    if place is not None and 0 < (number := int(place[1])) <= len(lines):
+        line = lines[number - 1]
+        for found in VALUE.finditer(line):
+            key, value, unit = found["key"], found["value"], found["unit"]
+            if unit:
+                return (
+                    f"line {number}: not valid TOML: {key} = {value}{found['space']}{unit} is a number with a unit; "
+                    f"write the number alone, in the unit that the format states: {key} = {value}"
+                )
+            if (word := found["word"]) is not None and word not in ("true", "false", "inf", "nan"):
+                return f'line {number}: not valid TOML: {key} = {word} is a text without quotes; write {key} = "{word}"'
+    return f"not valid TOML: {error}; correct the text there"
 
 
 def read_text(path: Path) -> str:
@@ -58,12 +86,12 @@ def read_text(path: Path) -> str:
             return file.read()
     except UnicodeDecodeError as error:
         if b"\0" in error.object:
-            raise SeatrialError(f"{path}: not a text file; give a TOML file") from error
-        raise SeatrialError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from error
+            raise SeatrialError(f"{path}: not a text file; give a TOML file") from None
+        raise SeatrialError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from None
     except OSError as error:
         raise SeatrialError(
             f"{path}: cannot be read: {error.strerror or error}; check its path and permissions"
-        ) from error
+        ) from None
 
 
 class ErrorCollector:

@@ -211,5 +211,5 @@ def _command_scale(command: Column, response: Column, is_reversed: bool) -> tupl
     full = float(good[np.argmax(np.abs(good - rest))])
     scale = 1.0 / abs(full - rest)
     unit = " us" if is_pulse else ""
-    extra = f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, role = "input"'
+    extra = f'scale = {scale:.9g}, offset = {0.0 - scale * rest:.9g}, role = "input"'
     return extra, f"{rest:.6g}{unit} is assumed to be rest, {full:.6g}{unit} full command"

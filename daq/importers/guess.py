@@ -1248,7 +1248,7 @@ def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
     ends = abs(scale) * (high - rest), abs(scale) * (low - rest)
     caveat = f"SERVO{node}_TRIM is not in the middle: full commands are {ends[0]:.3g} and {ends[1]:.3g}, not 1 and -1; "
     caveat += "name a rig in [mavlink] of the map to scale each direction"
-    extra = f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, missing = 0, missing_is = 0, role = "input", '
+    extra = f'scale = {scale:.9g}, offset = {0.0 - scale * rest:.9g}, missing = 0, missing_is = 0, role = "input", '
     extra += 'hold = "sampled"'
     return extra, caveat if high - rest != rest - low else ""
 

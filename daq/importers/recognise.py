@@ -131,7 +131,7 @@ def pulse_keys(rest: float = PULSE_REST) -> str:
 
     The pulse ``rest`` becomes 0, and a pulse 400 us above it 1. No pulse (0) means that the thruster stops.
     """
-    keys = f"scale = {1.0 / PULSE_RANGE:.9g}, offset = {-rest / PULSE_RANGE:.9g}, missing = 0, missing_is = 0, "
+    keys = f"scale = {1.0 / PULSE_RANGE:.9g}, offset = {0.0 - rest / PULSE_RANGE:.9g}, missing = 0, missing_is = 0, "
     return keys + 'role = "input"'
 
 

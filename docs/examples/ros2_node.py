@@ -36,7 +36,6 @@ RAMP = 0.05  # m/s2: the wanted speed rises from that of the boat (page: start b
 INTEGRAL = 10.0  # s, time constant of the heading's integral: at least five times that of the slowest pole of the loop
 NEAR = math.radians(20.0)  # the integral rests at larger errors, as in a turn
 LARGEST = math.radians(20.0)  # of the integral
-ANTENNA = (0.0, 0.0)  # m, of the GNSS antenna forward and to starboard of the centre of gravity
 State = dict[str, float]
 
 
@@ -67,10 +66,10 @@ def attitude(imu: Any, x: State) -> State:
 
 def ground_speeds(velocity: Any, x: State) -> State:
     """Return the speeds over ground from a geometry_msgs/TwistStamped (ENU), with heading and yaw rate of the IMU."""
-    east, north, (forward, starboard) = velocity.twist.linear.x, velocity.twist.linear.y, ANTENNA
+    east, north = velocity.twist.linear.x, velocity.twist.linear.y
     psi, r = x.get("psi", math.nan), x.get("r", math.nan)  # NaN before the first message of the IMU
     c, s = math.cos(psi), math.sin(psi)
-    return {"u": north * c + east * s + r * starboard, "v": east * c - north * s - r * forward}
+    return {"u": north * c + east * s + r * x["antenna_y"], "v": east * c - north * s - r * x["antenna_x"]}
 
 
 def valid_fix(fix: Any, _: State) -> State:
@@ -137,6 +136,11 @@ class Controller(Node):
         self.declare_parameter("sensors", "odometry")  # or gnss
         for name, default in (("feedback", "feedback.json"), ("speed", 0.8), ("heading", 0.0), ("limit", 0.6)):
             self.declare_parameter(name, default)  # heading: deg, clockwise from north; limit: largest command
+        # m, of the GNSS antenna forward and to starboard of the centre of gravity, for the sensors gnss
+        self.declare_parameter("antenna", [0.0, 0.0])
+        antenna = list(self.get_parameter("antenna").value)
+        if len(antenna) != 2 or not all(map(math.isfinite, antenna)):
+            raise ValueError(f"the parameter antenna is {antenna}; it must be [forward, to starboard] in m: [0.3, 0.0]")
         if (sensors := self.get_parameter("sensors").value) not in SENSORS:
             raise ValueError(f"the parameter sensors is {sensors}; it must be {' or '.join(SENSORS)}")
         topics = SENSORS[sensors]
@@ -154,7 +158,7 @@ class Controller(Node):
         self.shafts = {n: Shaft(n, self.feedback["shafts"]) for n in sides}  # by side
         self.names = names
         self.commands = [self.create_publisher(Float64, f"/thrusters/{n}/command", 10) for n in names]
-        self.x: State = {}
+        self.x: State = dict(zip(("antenna_x", "antenna_y"), antenna, strict=True))  # and the latest states
         self.heard = dict.fromkeys(topics, -math.inf)  # s, of the last valid message of each topic
         self.stopped, self.since, self.wanted = "start", time.monotonic(), 0.0  # reason, its time [s], ramp [m/s]
         self.correction = 0.0  # rad, of the wanted heading: the integral of the heading error

@@ -84,7 +84,7 @@ def apply_rig_geometry(
             except ValueError as problem:
                 raise SeatrialError(
                     f"the rig file or the import map gives {name} = {value:g}: {problem}; correct it there"
-                ) from problem
+                ) from None
     model = with_effect_priors(model.replace_parameters(*known), given, rig)
     if "antenna_x" in given or not rig:
         forward, starboard, down = (given.get(f"antenna_{axis}", 0.0) for axis in "xyz")
@@ -351,7 +351,7 @@ def fix_parameters(
         try:
             known[name] = model.parameter(name).known(value, 0.0, ParameterOrigin.GIVEN)
         except ValueError as problem:
-            raise SeatrialError(f"--fix {name}={value:g}: {problem}") from problem
+            raise SeatrialError(f"--fix {name}={value:g}: {problem}") from None
     model = model.replace_parameters(*known.values())
     _check_thrust(model)
     _check_arms(model)
@@ -472,7 +472,7 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
         try:
             given.append(model.parameter(name).known(mean, sd, ParameterOrigin.PRIOR))
         except ValueError as problem:
-            raise SeatrialError(f"--prior {name}={mean:g}:{sd:g}: {problem}") from problem
+            raise SeatrialError(f"--prior {name}={mean:g}:{sd:g}: {problem}") from None
     return model.replace_parameters(*given)
 
 
@@ -510,5 +510,5 @@ def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
         try:
             model = model.with_values({name: value})
         except ValueError as problem:
-            raise SeatrialError(f"--initial {name}={value:g}: {problem}") from problem
+            raise SeatrialError(f"--initial {name}={value:g}: {problem}") from None
     return model

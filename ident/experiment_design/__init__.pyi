@@ -25,6 +25,7 @@ from .optimal_design import design as design
 from .optimal_design import monte_carlo as monte_carlo
 from .optimal_design import predicted_errors as predicted_errors
 from .optimal_design import predicted_track as predicted_track
+from .optimal_design import rounded_up as rounded_up
 from .prior import PRIOR_HALFWIDTH as PRIOR_HALFWIDTH
 from .prior import ParameterPrior as ParameterPrior
 from .prior import prior_from_fit as prior_from_fit

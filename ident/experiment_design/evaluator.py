@@ -279,6 +279,17 @@ class DesignEvaluator:
         low, high = (np.concatenate(side) for side in zip(*parts, strict=True))
         return low.min(axis=1), high.max(axis=1)
 
+    def area_of(self, command: Array) -> Array | None:
+        """Return the sides (north, east) [m] of the area that one command (n_rows, n_channels) needs.
+
+        It holds the tracks of all sampled boats. None without a limit of area.
+        """
+        if self.problem.limits.area is None:
+            return None
+        low, high = self.extents(command[:, :, None])
+        at = [self.experiments.extremes.index(name) for name in ("x", "y")]
+        return np.asarray(high[0, at] - low[0, at])
+
     def area_corner(self, command: Array) -> Array | None:
         """Return the south-west corner (north, east) [m] of the area, relative to the start; None without an area.
 

@@ -11,6 +11,7 @@ robustness of a design to the parameters (Ljung 1999, section 13.3).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -297,7 +298,7 @@ def design(
     if value <= SINGULAR or singular > 0:
         raise SeatrialError(_no_information_message(problem, float(singular)))
     if beyond > 10.0**-LEVEL_DIGITS:
-        raise SeatrialError(_limits_message(problem, float(beyond)))
+        raise SeatrialError(_limits_message(problem, float(beyond), evaluator.area_of(rounded[:, :, 0])))
     information = evaluator.information(problem.actuation.inputs(rounded))[0]
     return Design(problem, levels, durations, float(value), information, found)
 
@@ -434,22 +435,39 @@ def _no_information_message(problem: DesignProblem, singular: float) -> str:
     )
 
 
-def _limits_message(problem: DesignProblem, violation: float) -> str:
+def _limits_message(problem: DesignProblem, violation: float, extent: Array | None) -> str:
     """Return the error message for limits that no sequence keeps.
 
-    It lists the limits as options of the command line. ``violation`` is the summed relative excess, which is shown in
-    per cent.
+    It lists the limits as options of the command line. ``violation`` is the summed relative excess of the nearest
+    sequence, which is shown in per cent. ``extent`` (2,) are the sides of the area [m] that this sequence needs, to the
+    north and east; None without a limit of area. If a side is too small, the message proposes an area.
     """
     limits = problem.limits
     options = [f"--area {limits.area[0]:g}x{limits.area[1]:g}"] if limits.area else []
     options += [f"--max-speed {limits.speed:g}"] if limits.speed else []
     options += [f"--energy {limits.energy:g}"] if limits.energy else []
+    room = "more room (weaker limits)"
+    if limits.area is not None and extent is not None and (extent > limits.area).any() and np.isfinite(extent).all():
+        north, east = (
+            side if x <= side else rounded_up(x) for side, x in zip(limits.area, extent.tolist(), strict=True)
+        )
+        room = (
+            f"a larger area, such as --area {north:g}x{east:g} (the nearest sequence needs {extent[0]:.3g} m north by "
+            f"{extent[1]:.3g} m east at its speeds)"
+        )
+    # The half-width of the prior is that of a structure without a fit.
+    prior = "a smaller --prior-halfwidth, " if problem.prior is None or problem.prior.covariance is None else ""
     return (
         f"no sequence of {problem.steps.n_steps} steps in {problem.steps.duration:g} s was found that keeps to "
         f"{', '.join(options)} for all of {N_TRACKS} parameter samples (exceeded by {100 * violation:.0f} %); "
-        "give more room (weaker limits), a shorter --duration, a smaller --prior-halfwidth, or a model.toml with "
-        "smaller errors"
+        f"give {room}; a shorter --duration, a smaller --n-max, {prior}or a model.toml with smaller errors"
     )
+
+
+def rounded_up(side: float) -> float:
+    """Return a proposed side of an area [m]: 5 % longer, and rounded up to two digits."""
+    step = 10.0 ** (math.floor(math.log10(max(side, 0.1))) - 1)
+    return float(f"{step * math.ceil(1.05 * side / step):.3g}")
 
 
 CLOCK_PERIODS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 15.0, 20.0, 30.0)  # s, of a PRBS

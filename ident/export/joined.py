@@ -18,7 +18,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError, warn
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.estimation import SavedModel, thrust_scale_of
-from seatrial.ident.export.codegen import Content, collect_content, dead_zone_lines, with_model, without_nuisance
+from seatrial.ident.export.codegen import Content, collect_content, with_model, without_nuisance
 from seatrial.ident.model import (
     COMMAND,
     SHAFT_SPEED,
@@ -36,10 +36,12 @@ from seatrial.ident.model import (
     is_of_thruster,
     thrust_of,
 )
+from seatrial.ident.models import TURNS_INSIDE
 
 BENCH_ONLY = ("bench", "sensor")  # places of effects of the tank, the rig and its sensors, which a boat does not have
 SHAFT_STAGES = ("shaft", "dead_band", "thrust_lag")  # places of effects between shaft speed and thrust curve
 DIFFERENT = 0.02  # of the largest thrust: a larger difference of two thrust curves gives a warning
+SIGNIFICANT = 2.0  # standard errors from which on a dead zone is significant
 MARGIN = 0.05  # of full speed by which a boat may exceed the range of the bench without a warning
 SPEEDS = np.linspace(-1.0, 1.0, 41)  # shaft speeds at which thrust curves are compared
 SMALLEST_SHARE = 1e-6  # of the thrust at full speed, below which the slope of its shaft speed is bounded (n = 0.001)
@@ -211,7 +213,37 @@ def _drives(model: Model, thrusters: Mapping[str, SavedModel]) -> list[Drive]:
                 "`ident thruster`"
             )
         drives.append(Drive(input_, name, saved, _without_bench(saved.model)))
-    return drives
+    return _with_significant_dead_zones(drives)
+
+
+def _with_significant_dead_zones(drives: Sequence[Drive]) -> list[Drive]:
+    """Return the drives with a dead zone of zero where the bench test does not show one, and warn about them.
+
+    Commands inside a dead zone have no effect, so that an optimiser that comes there stays there. The model of a
+    controller therefore has only a dead zone that the data show, or one that the user has fixed.
+    """
+    found, zones = [], []
+    for d in drives:
+        if _has_unproven_dead_zone(d.saved):
+            zones.append(f"{d.own('d')} = {d.model.parameter('d').value:.3g}")
+            d = replace(d, model=d.model.with_values({"d": 0.0}))
+        found.append(d)
+    if zones:
+        warn(
+            f"the bench tests do not show these dead zones (smaller than two standard errors, or the shaft turns inside"
+            f"): {', '.join(zones)}. They are zero in the joined model. Fit the thrusters again with "
+            "--fix d=0, so that delay and lag belong to it; with --fix d=VALUE a dead zone that you know is kept"
+        )
+    return found
+
+
+def _has_unproven_dead_zone(saved: SavedModel) -> bool:
+    """Return whether the estimated dead zone of a bench model is not significant, or contradicted by its data."""
+    zone = next((p for p in saved.model.parameters if p.name == "d"), None)
+    if zone is None or not zone.free or zone.value == 0.0:
+        return False
+    error = saved.errors.get("d", np.nan)
+    return saved.flags.get("d") == TURNS_INSIDE or bool(zone.value < SIGNIFICANT * error)
 
 
 def _without_bench(model: Model) -> Model:
@@ -319,7 +351,7 @@ def _check_range(boat: Content, drive: Drive, with_curve: bool) -> None:
 
 
 def _remarks(drives: list[Drive], own_curve: bool) -> list[str]:
-    """Return header lines on the model of each thruster: the parts that it provides, and a contradicted dead zone."""
+    """Return header lines on the model of each thruster: the parts that it provides, and an unproven dead zone."""
     lines = ["", "Joined with thruster models; full speed (n = 1, rpm_max of the rig) must be the same in both tests:"]
     for d in drives:
         made = d.saved.provenance
@@ -327,7 +359,10 @@ def _remarks(drives: list[Drive], own_curve: bool) -> list[str]:
         logs = ", ".join(str(log) for log in made.get("logs", [])) or made.get("made_by", "unknown")
         lines.append(f"  {d.own('n_cmd')} drives {d.input}: {parts} fitted to {logs}")
     for d in drives:
-        lines += dead_zone_lines(d.saved, d.own("d"))
+        if _has_unproven_dead_zone(d.saved):
+            lines.append(
+                f"  {d.own('d')} is zero: the fitted {d.saved.model.parameter('d').value:.3g} is not shown by its data"
+            )
     return lines
 
 

@@ -44,6 +44,8 @@ HALF_POWER = np.sqrt(0.5)  # -3 dB
 EQUAL_STEPS = 1e-13  # of the longest time, by which two steps of time may differ and still count as equal
 FREE = "free"  # of a motion whose pole is zero
 STATE_WORDS = {"u": "surge speed", "v": "sway speed", "r": "yaw rate"}
+BOAT_STATES = ("u", "v", "r", "psi", "x", "y")
+THRUSTER_STATES = ("n_", "f_", "late_", "slow_", "heat_")  # beginnings of the names of the states of thrusters
 LARGE_PART = 0.2  # participation of a state in a motion, as a part of the largest one, from which it is named
 MAIN_PART = 0.5  # the same, from which a pole is named after it
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
@@ -55,6 +57,13 @@ STATIC = 1e-6  # poles below this part of the largest one are integrators, which
 
 Complex = NDArray[np.complex128]
 Inputs = str | Mapping[str, float]
+
+
+def _group_of(state: str) -> int:
+    """Return the place of a state in the order of the poles: 0 for the boat, 1 for thrusters, 2 for others."""
+    if state in BOAT_STATES:
+        return 0
+    return 1 if state == SHAFT_SPEED or state.startswith(THRUSTER_STATES) else 2
 
 
 class Bode(NamedTuple):
@@ -248,7 +257,11 @@ class LinearModel:
 
     @property
     def poles(self) -> Complex:
-        """Eigenvalues (n,) of A [1/s], the slowest first: in the order of the size of their real part."""
+        """Eigenvalues (n,) of A [1/s]: those of the boat first, then of its thrusters, then of other states.
+
+        Other states are those of disturbances and sensors, such as waves. `mainly` names the states of each pole. Those
+        of each group are in the order of the size of their real part, the slowest first.
+        """
         return self._modes[0]
 
     @property
@@ -665,7 +678,10 @@ class LinearModel:
     def _modes(self) -> tuple[Complex, Complex]:
         """Eigenvalues (n,) of A in the order of `poles`, and their eigenvectors (n, n) as columns."""
         found, vectors = (a.astype(np.complex128) for a in np.linalg.eig(self.A))
-        order = np.argsort(np.abs(found.real), kind="stable")
+        # The state of the largest participation; rounded, so that a pair of conjugate poles has one state.
+        main = np.argmax(np.abs(np.linalg.pinv(vectors) * vectors.T).round(9), axis=1)
+        group = np.array([_group_of(self.states[k]) for k in main], dtype=np.int64)
+        order = np.lexsort((np.abs(found.real), group))
         return found[order], vectors[:, order]
 
     def _weights(self, inputs: Inputs) -> dict[str, float]:

@@ -329,8 +329,8 @@ def lqr(
     failure = "no feedback with these weights makes the motion stable: give weights to u, r and psi"
     try:
         gain = np.linalg.solve(costs, B.T @ solve_continuous_are(A, B, weights, costs))
-    except np.linalg.LinAlgError as problem:
-        raise SeatrialError(failure) from problem
+    except np.linalg.LinAlgError:
+        raise SeatrialError(failure) from None
     poles = np.linalg.eigvals(A - B @ gain).astype(np.complex128)
     if not (poles.real < 0.0).all():
         raise SeatrialError(failure)

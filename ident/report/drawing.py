@@ -38,7 +38,7 @@ DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "solid")
 CUT = "The vertical range is limited: part of an interval or curve is outside. Double-click to show all of it."
 Z95 = 1.96  # half width of a 95 % interval of the normal distribution, in standard deviations
 ANGLES = (45.0, 90.0, 180.0, 360.0)  # distances of the ticks of an angle [deg]
-INTERVALS = 7  # largest number of intervals between the ticks of an angle
+INTERVALS = 5  # largest number of intervals between the ticks of an angle
 LARGEST = float(np.finfo(np.float32).max)  # figures store 32-bit floats
 # Colours of the figures on a dark page. Text has a contrast of at least 4.5 to the page, lines of at least 3.
 DARK = {
@@ -349,7 +349,7 @@ def beside(t: Array, angle: Array, t_samples: Array, samples: Array) -> Array:
 
 
 def angle_step(limits: Sequence[float] | None, curves: Sequence[Array | None] = ()) -> float:
-    """Return the distance of the ticks of an axis of angles [deg], for at most eight ticks.
+    """Return the distance of the ticks of an axis of angles [deg], for at most six ticks.
 
     It is 45, 90, 180 or 360 deg, or a multiple of 360 deg. The axis has the ``limits``, or those of the ``curves`` if
     they are None.

@@ -240,8 +240,10 @@ def _scientific(value: float, size: int, decimals: int) -> str:
     return f"{value / 10.0**size:.{max(decimals, 0)}f} ×10{str(size).translate(SUPER)}".replace("-", "−")
 
 
-def probability(p: float | None) -> str:
+def probability(p: float | None, level: float | None = None) -> str:
     """Return a p value as text with two decimals, or three below 0.1; a dash for None.
+
+    It has as many decimals as show on which side of a ``level`` it is, if there is one: 0.0501 beside 0.05.
 
     Below 0.001 the text is the next larger power of ten: ``< 10⁻³``. Below 1e-300, zero included, it is ``< 10⁻³⁰⁰``.
     """
@@ -251,7 +253,10 @@ def probability(p: float | None) -> str:
         return "< 10⁻³⁰⁰"
     if p < 1e-3:
         return f"< 10{str(math.floor(math.log10(p)) + 1).translate(SUPER)}"
-    return f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
+    decimals = 3 if p < 0.1 else 2
+    while level is not None and decimals < 15 and (round(p, decimals) <= level) != (p <= level):
+        decimals += 1
+    return f"{p:.{decimals}f}"
 
 
 def p_equals(p: float) -> str:

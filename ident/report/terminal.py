@@ -44,6 +44,7 @@ from seatrial.ident.results import (
     OTHER_SURROUNDINGS,
     RUNS_AWAY,
     SIMULATION_COVERS,
+    SIZE_NOT_SIGNIFICANT,
     THRUST_KNOWN,
     CampaignErrors,
     CampaignsResult,
@@ -77,7 +78,10 @@ from seatrial.ident.results import (
 )
 
 # Beginnings of the notes that the terminal shows
-SHOWN_NOTES = (SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, NOT_TESTED, ONLY_CHOSEN, THRUST_KNOWN, OTHER_SURROUNDINGS)
+SHOWN_NOTES = (
+    SIMULATION_COVERS, MOST_OF_ERROR, RUNS_AWAY, NOT_TESTED, ONLY_CHOSEN, THRUST_KNOWN, OTHER_SURROUNDINGS,
+    SIZE_NOT_SIGNIFICANT,
+)  # fmt: skip
 MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 WIDEST_INTERVALS = 72  # characters of a line of the table of the 95 % intervals
 WIDEST_TEXT = 100  # characters of a line of texts in the table of what differs between models
@@ -251,16 +255,18 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     tables = list[Table]()
     if result.combinations:
         together = sorted(result.combinations, key=lambda c: not c.changed)
-        tables.append(_changes_table("Combinations of parameters", together, absolute=False))
+        tables.append(
+            _changes_table("Combinations of parameters", together, result.false_discovery_rate, absolute=False)
+        )
     if shown:
         title = f"Changes{f' ({left} of noise and disturbances in the report)' if left else ''}"
-        tables.append(_changes_table(title, shown, joint_words(result)))
+        tables.append(_changes_table(title, shown, result.false_discovery_rate, joint_words(result)))
     if result.effects:
         table = titled_table("Effects")
         for title in ("effect", "before", "after", ""):
             table.add_column(title, no_wrap=True)
         for effect in result.effects:
-            table.add_row(*(Text(word) for word in effect_words(effect)))
+            table.add_row(*(Text(word) for word in effect_words(effect, result)))
         table.caption, table.caption_justify = effects_caption(result) or None, "left"
         tables.append(table)
     if result.errors:
@@ -274,10 +280,13 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     return tables
 
 
-def _changes_table(title: str, shown: Sequence[Difference], caption: str = "", *, absolute: bool = True) -> Table:
+def _changes_table(
+    title: str, shown: Sequence[Difference], rate: float, caption: str = "", *, absolute: bool = True
+) -> Table:
     """Return the table of the differences of parameters or combinations, with a caption below it.
 
-    Without ``absolute``, it has no column for the changes in the unit of the parameter: long names need its width.
+    ``rate`` is the false discovery rate, with which the q values were compared. Without ``absolute``, it has no column
+    for the changes in the unit of the parameter: long names need its width.
     """
     table = titled_table(title)
     table.caption, table.caption_justify = caption or None, "left"
@@ -294,7 +303,7 @@ def _changes_table(title: str, shown: Sequence[Difference], caption: str = "", *
         style = "bold green" if p.changed else ""
         words = [Text(w) for w in means]
         words += [*([Text(absolute_change(p), style)] if absolute else []), Text(unit)]
-        words += [Text(change_of(p), style), Text(formatting.probability(p.q), style)]
+        words += [Text(change_of(p), style), Text(formatting.probability(p.q, rate), style)]
         table.add_row(Text(p.name, style or "bold"), *words)
     return table
 

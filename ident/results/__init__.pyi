@@ -6,6 +6,7 @@ from .answers import NOT_WEIGHED as NOT_WEIGHED
 from .answers import OTHER_SURROUNDINGS as OTHER_SURROUNDINGS
 from .answers import RUNS_AWAY as RUNS_AWAY
 from .answers import SIMULATION_COVERS as SIMULATION_COVERS
+from .answers import SIZE_NOT_SIGNIFICANT as SIZE_NOT_SIGNIFICANT
 from .answers import antenna_warning as antenna_warning
 from .answers import check_warnings as check_warnings
 from .answers import course_sentence as course_sentence
@@ -32,6 +33,7 @@ from .campaigns import CombinationDifference as CombinationDifference
 from .campaigns import CommonFactor as CommonFactor
 from .campaigns import Difference as Difference
 from .campaigns import EffectDifference as EffectDifference
+from .campaigns import Evidence as Evidence
 from .campaigns import Family as Family
 from .campaigns import JointTest as JointTest
 from .campaigns import LogEstimate as LogEstimate
@@ -39,6 +41,7 @@ from .campaigns import NotCompared as NotCompared
 from .campaigns import NotComparedCode as NotComparedCode
 from .campaigns import ParameterDifference as ParameterDifference
 from .campaigns import campaigns_answer as campaigns_answer
+from .campaigns import q_beside as q_beside
 from .candidate_titles import candidate_title as candidate_title
 from .candidate_titles import curve_words as curve_words
 from .commands import AIMS as AIMS

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
+from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -120,6 +121,8 @@ SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a sim
 SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 OTHER_SURROUNDINGS = "Effects of the surroundings of another day"  # begins the note of a comparison
 MOST_OF_ERROR = "A small part of the time has most of the squared error"  # begins the note of a comparison
+# Begins the note of a comparison on effects of some models
+SIZE_NOT_SIGNIFICANT = "Effects whose size is not significant in their own fit"
 RUNS_AWAY = "The simulation of a directionally unstable model can run away from the measured motion"  # begins a note
 LIFT = "Y_uv"  # parameter of the hull lift: damping of sway per forward speed
 LEAST_PULL = 0.03  # difference of the inputs of both sides on a straight course, relative to their mean, to report
@@ -1464,7 +1467,8 @@ def dead_zone_warnings(turning: Mapping[str, TurningShaft | None], dead_zone: fl
         f"to {held.end:.1f} s). The model has a shaft that follows the whole command outside its dead zone; a "
         "controller that subtracts its dead zone, or a low battery, gives less. d is then only the value with which "
         "this model predicts the shaft speeds best: an exported model keeps it, and gives no thrust at commands inside "
-        "it. Set no dead zone of an autopilot to d. Hold more small commands (seatrial bench steps), and let a "
+        "it. A boat model that is joined with it has a dead zone of zero. Set no dead zone of an autopilot to d. Hold "
+        "more small commands (seatrial bench steps), and let a "
         "diagnosis test the effect controller-dead-band."
     )
     return [ResultWarning(code="dead-zone-contradicted", text=text)]
@@ -1731,6 +1735,22 @@ def _course_doubt(t: float, logs: int) -> str:
     return f" This is not sure: {doubt}. To confirm it, fit a further log too, with {TURNS_FOR_STABILITY}."
 
 
+def _groups(a: HomogeneityTest) -> str:
+    """Return a sentence with the logs above and below the widest gap between the values; begins with a space.
+
+    The gap is measured in standard errors of both values beside it. Logs without a standard error, or that contain no
+    information about the parameter, are left out; the text is empty if fewer than two remain.
+    """
+    rows = zip(a.values, a.errors, a.records, strict=True)
+    told = sorted((v, e, n) for v, e, n in rows if math.isfinite(e) and e > 0.0 and n not in a.left_out)
+    if len(told) < 2:
+        return ""
+    gaps = [(high[0] - low[0]) / math.hypot(low[1], high[1]) for low, high in pairwise(told)]
+    k = 1 + max(range(len(gaps)), key=gaps.__getitem__)
+    below, above = (", ".join(sorted(n for _, _, n in part)) for part in (told[:k], told[k:]))
+    return f" The widest gap ({gaps[k - 1]:.1f} standard errors) is between {above} with larger values and {below}."
+
+
 def homogeneity_sentence(a: HomogeneityTest) -> str:
     """Return the sentence on a homogeneity test: one value of a parameter for all logs against one for each log.
 
@@ -1738,7 +1758,7 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
     the scatter between the logs. Logs that do not inform the parameter are named. If fewer than two logs inform it, the
     sentence states only that, and these names.
     """
-    each = ", ".join(plus_minus(v, e) for v, e in zip(a.values, a.errors, strict=True))
+    each = ", ".join(f"{plus_minus(v, e)} ({n})" for n, v, e in zip(a.records, a.values, a.errors, strict=True))
     low, high = a.interval
     unit = f" {a.unit}" if a.unit else ""
     verdict = "agree" if a.agree else "do not agree"
@@ -1753,7 +1773,8 @@ def homogeneity_sentence(a: HomogeneityTest) -> str:
     return (
         f"{a.name}: {plus_minus(a.value, a.error)}{unit} from all logs together (robust error {a.robust_error:.2g}); "
         f"from each log alone {each}. The logs {verdict} in one value (likelihood ratio {a.lr:.1f}, chi-square with "
-        f"{a.df} degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}). The scatter between the logs is "
+        f"{a.df} degree{'s' if a.df > 1 else ''} of freedom: p = {a.p:.2g}).{'' if a.agree else _groups(a)} The "
+        "scatter between the logs is "
         f"{a.scatter:.2g}; {use} {plus_minus(a.mean, a.mean_error)}, "
         f"95 % interval {low:.3g} to {high:.3g}{unit}.{silent}"
     )

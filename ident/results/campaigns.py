@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from statistics import geometric_mean
+from statistics import geometric_mean, median
 from typing import Annotated, Literal
 
 from msgspec import Meta
@@ -23,6 +23,8 @@ MUCH_WORSE = 1.5
 # The same if the changed parameters do not help: their number then says little, as another cause has to be looked for
 WORSE = 1.25
 POSITIONS = ("x", "y")
+NEAR = 0.2  # q value up to which an answer without a change begins with the difference that is nearest to one
+SCATTERED = 2.0  # scatter between the logs of a campaign, in standard errors of a log, that the answer names
 JOINT_LEVEL = 0.05  # significance level of the joint test
 AGREE, DIFFER = 2.0, 3.0  # standard errors up to which two sizes agree, and from which they differ
 # Parameters whose q values are adjusted together: masses, thrust and combinations; single coefficients of the hull;
@@ -163,6 +165,22 @@ class CommonFactor(Part, frozen=True, kw_only=True):
     ]
 
 
+class Evidence(Part, frozen=True, kw_only=True):
+    """Parameter of an effect that differs most from its value without the effect, in the logs of one campaign."""
+
+    name: Annotated[str, Meta(description="name of the parameter")]
+    distance: Annotated[
+        float, Meta(description="distance of its mean from the value without the effect, in standard errors")
+    ]
+    needed: Annotated[
+        float,
+        Meta(
+            description="distance from which on the effect is present: Student's t at 5 %, adjusted for the number of "
+            "parameters of the effect; it is large with few logs"
+        ),
+    ]
+
+
 class EffectDifference(Part, frozen=True, kw_only=True):
     """Effect of the model in the two campaigns.
 
@@ -174,6 +192,12 @@ class EffectDifference(Part, frozen=True, kw_only=True):
     before: Annotated[bool | None, Meta(description="present in the campaign before; null: unknown")]
     after: Annotated[bool | None, Meta(description="present in the campaign after; null: unknown")]
     changed: Annotated[bool, Meta(description="a parameter of the effect has changed")]
+    evidence_before: Annotated[
+        Evidence | None, Meta(description="strongest parameter in the campaign before; null: none could be tested")
+    ] = None
+    evidence_after: Annotated[
+        Evidence | None, Meta(description="strongest parameter in the campaign after; null: none could be tested")
+    ] = None
 
 
 class CampaignErrors(Part, frozen=True, kw_only=True):
@@ -269,7 +293,9 @@ def campaigns_answer(result: CampaignsResult) -> str:
     """Return the answer of a comparison of campaigns: what has changed, common factor, and prediction errors."""
     tested = [p for p in result.parameters if not p.nuisance and p.q is not None]
     changed = [p for p in result.changed if p in tested]
-    rate = f"at a false discovery rate of {100.0 * result.false_discovery_rate:g} %"
+    level = result.false_discovery_rate
+    rate = f"at a false discovery rate of {100.0 * level:g} %"
+    nearest = None  # the difference that is nearest to a change, if there is no change
     if not tested and result.parameters:
         sentences = [
             "The scatter between logs is unknown with one log before and one after, so no change can be claimed; give "
@@ -283,7 +309,7 @@ def campaigns_answer(result: CampaignsResult) -> str:
         split = _undetermined_splits(result, changed)
         found = [
             *(
-                f"{_combination_text(c)}, which is not significant (q = {c.q or 0.0:.2g})"
+                f"{_combination_text(c)}, which is not significant (q = {q_beside(c.q or 0.0, level)})"
                 for c in split
                 if not c.changed
             ),
@@ -299,12 +325,16 @@ def campaigns_answer(result: CampaignsResult) -> str:
         n = len(result.combinations)
         rest = f", nor has {'a combination' if n == 1 else f'any of {n} combinations'} of them" if n else ""
         sentences = [f"None of {counted(len(tested), 'parameter')} has changed {rate}{rest}."]
+        nearest = _nearest(tested, result.combinations)
+        if (nearest.q or 0.0) <= NEAR:
+            sentences.insert(0, _nearest_text(nearest, result))
         if (n := len(result.campaigns)) <= FEW_LOGS:
             sentences.append(f"With {n} logs in all, only large changes are seen; take three or more of each campaign.")
         if result.joint is not None and result.joint.p is not None and result.joint.p < JOINT_LEVEL:
             sentences.append(
                 f"All parameters together differ (p = {result.joint.p:.2g}), but the logs do not determine which."
             )
+        sentences += filter(None, [_scatter_sentence(tested)])
     factor = result.common_factor
     if factor is not None and factor.explains and changed:
         sentences.append(_factor_sentence(factor, result.parameters, changed))
@@ -316,12 +346,10 @@ def campaigns_answer(result: CampaignsResult) -> str:
     own = [e.verdict for e in result.errors if e.logs == "after" and e.values == "after"]
     sentences += filter(None, (_errors_sentence(result), _unexplained_sentence(result), _model_sentence(result)))
     sentences += filter(None, [_unpredicted_sentence(result)])
-    if tested and not changed and not result.changed_combinations and "fell" in own:
-        nearest = min((d for d in (*tested, *result.combinations) if d.p is not None), key=lambda d: d.p or 0.0)
-        sentences.append(
-            "So something has changed that these logs do not assign to a parameter. The smallest p value: "
-            f"{_nearest_text(nearest)}. Take more logs of each campaign."
-        )
+    if nearest is not None and "fell" in own:
+        sentences.append("So something has changed that these logs do not assign to a parameter.")
+        sentences += [] if (nearest.q or 0.0) <= NEAR else [_nearest_text(nearest, result)]
+        sentences.append("Take more logs of each campaign.")
     # The changes of a model that lacks an effect may stand for this effect, so that this sentence comes first. It comes
     # last if the changes improve the prediction: they are then at least a part of the truth.
     worse = _worse_predicted_sentence(result)
@@ -386,10 +414,77 @@ def _combination_text(c: Difference) -> str:
     return f"the {c.meaning} has {verb} by {100.0 * abs(c.relative):.0f} % (95 %: {least} to {most} %)"
 
 
-def _nearest_text(d: Difference) -> str:
-    """Return a difference that is no change, with its p value: ``d_uu +31 % (95 %: -4 to +66 %), p = 0.07 (...)``."""
-    words = _change_text(d) if isinstance(d, ParameterDifference) else _combination_text(d)
-    return f"{words}, p = {d.p or 0.0:.2g} ({d.q or 0.0:.2g} adjusted for the number of tests)"
+def _nearest(tested: Sequence[ParameterDifference], combinations: Sequence[CombinationDifference]) -> Difference:
+    """Return the difference that is nearest to a change: that with the smallest q value, then the smallest p value.
+
+    A single coefficient is replaced by the combination that it belongs to, such as the drag at a speed, if the data
+    determine the change of the combination better: its relative interval is the narrower one.
+    """
+    together = [c for c in combinations if c.q is not None]
+    nearest = min((*tested, *together), key=lambda d: (d.q or 0.0, d.p or 0.0))
+    if isinstance(nearest, CombinationDifference):
+        return nearest
+    sums = [c for c in together if nearest.name in c.parameters and _relative_width(c) < _relative_width(nearest)]
+    return min(sums, key=lambda c: c.p or 0.0, default=nearest)
+
+
+def _scatter_sentence(tested: Sequence[ParameterDifference]) -> str:
+    """Return the sentence on the parameter in which the logs of a campaign scatter most; empty if they agree.
+
+    The scatter counts from `SCATTERED` times the typical standard error of a log on.
+    """
+    ratios = [(p.scatter / e, p) for p in tested if p.scatter and (e := _typical_error(p))]
+    ratio, p = max(ratios, key=lambda pair: pair[0], default=(0.0, None))
+    if p is None or ratio < SCATTERED:
+        return ""
+    return (
+        f"The logs of one campaign differ in {p.name}: their scatter is {ratio:.1f} times the standard error of a log. "
+        f"To see which logs differ: `seatrial ident vehicle LOGS --test-homogeneity {p.name.partition('/')[0]}`."
+    )
+
+
+def _typical_error(p: Difference) -> float:
+    """Return the median of the standard errors of the logs; 0 without any."""
+    return float(median([x.se for x in p.logs])) if p.logs else 0.0
+
+
+def _relative_width(d: Difference) -> float:
+    """Return the width of the 95 % interval of a difference, as a part of the mean before; inf if it is unknown."""
+    if d.relative is None or d.low is None or d.high is None:
+        return math.inf
+    return (d.high - d.low) / d.before.mean
+
+
+def _nearest_text(d: Difference, result: CampaignsResult) -> str:
+    """Return a difference that is no change, with the correction that it does not pass.
+
+    For example, ``Nearest to a change, but not significant after the correction for 8 comparisons: d_uu +31 %
+    (95 %: -4 to +66 %), p = 0.01, q = 0.08.`` The comparisons are those of the family of the difference.
+    """
+    own = d.family if isinstance(d, ParameterDifference) else "boat"
+    n = sum(p.family == own and p.q is not None for p in result.parameters)
+    n += len(result.combinations) if own == "boat" else 0
+    if isinstance(d, ParameterDifference):
+        words = _change_text(d)
+    else:
+        scale, unit, form = (1.0, d.unit, "+.3g") if d.relative is None else (100.0 / d.before.mean, "%", "+.0f")
+        change, low, high = (f"{scale * (x or 0.0):{form}}" for x in (d.difference, d.low, d.high))
+        words = f"{d.meaning} {change} {unit} (95 %: {low} to {high} {unit})"
+    correction = f"after the correction for {counted(n, 'comparison')}" if n > 1 else f"(p = {d.p or 0.0:.2g})"
+    numbers = f", p = {d.p or 0.0:.2g}, q = {q_beside(d.q or 0.0, result.false_discovery_rate)}" if n > 1 else ""
+    return f"Nearest to a change, but not significant {correction}: {words}{numbers}."
+
+
+def q_beside(q: float, rate: float) -> str:
+    """Return a q value with two digits, or with as many as show on which side of the false discovery rate it is.
+
+    For example, 0.05012 beside a rate of 0.05 is ``0.0501``, and 0.0949 is ``0.095``.
+    """
+    for digits in range(2, 16):
+        text = f"{q:.{digits}g}"
+        if (float(text) <= rate) == (q <= rate):
+            return text
+    return repr(q)
 
 
 def _load_sentence(changed: Sequence[ParameterDifference]) -> str:

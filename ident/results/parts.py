@@ -807,7 +807,13 @@ class OperatingPoint(Part, frozen=True, kw_only=True):
 
     speed: Annotated[float, Meta(description="forward speed [m/s]")]
     inputs: Annotated[dict[str, float], Meta(description="inputs that keep the speed, by name")]
-    real: Annotated[Array, Meta(description="real parts of the poles, the slowest first [1/s]")]
+    real: Annotated[
+        Array,
+        Meta(
+            description="real parts of the poles [1/s]: those of the boat, of its thrusters and of other states, the "
+            "slowest of each first"
+        ),
+    ]
     imaginary: Annotated[Array, Meta(description="imaginary parts of the poles [rad/s]")]
     stable: Annotated[bool, Meta(description="whether all real parts are negative")]
     error: Annotated[

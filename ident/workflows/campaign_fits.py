@@ -28,6 +28,7 @@ from seatrial.ident.results import (
     CommonFactor,
     Difference,
     EffectDifference,
+    Evidence,
     Family,
     JointTest,
     LogEstimate,
@@ -295,33 +296,57 @@ def _effects(
     found = []
     for effect in names:
         own = [p for p in parameters if p.effect == effect]
-        before, after = (_is_present(fitted, effect, [differences[p.name] for p in own], own, x) for x in (False, True))
-        found.append(EffectDifference(name=effect, before=before, after=after, changed=any(p.changed for p in own)))
+        of_own = [differences[p.name] for p in own]
+        before, after = (_evidence(effect, of_own, own, x) for x in (False, True))
+        found.append(
+            EffectDifference(
+                name=effect,
+                before=_is_present(fitted, effect, before, False),
+                after=_is_present(fitted, effect, after, True),
+                changed=any(p.changed for p in own),
+                evidence_before=before,
+                evidence_after=after,
+            )
+        )
     return tuple(found)
 
 
-def _is_present(
-    fitted: FittedLogs,
+def _evidence(
     effect: str,
     differences: Sequence[CampaignDifference],
     parameters: Sequence[ParameterDifference],
     after: bool,
-) -> bool | None:
+) -> Evidence | None:
+    """Return the strongest parameter of an effect in one campaign; None if none can be tested.
+
+    ``differences`` and ``parameters`` are those of the compared parameters of the effect.
+    """
+    defaults = _values_without_effect(effect)
+    found = []
+    for parameter, difference in zip(parameters, differences, strict=True):
+        mean: Contrast = difference.after if after else difference.before
+        if difference.df > 0 and mean.error > 0.0:
+            distance = abs(mean.value - defaults.get(parameter.name, 0.0)) / mean.error
+            needed = float(student_ppf(1 - LEVEL / 2 / len(parameters), mean.df))
+            found.append(Evidence(name=parameter.name, distance=float(distance), needed=needed))
+    return max(found, key=lambda e: e.distance / e.needed, default=None)
+
+
+def _values_without_effect(effect: str) -> Values:
+    """Return the values of the parameters of an effect without it, by name; empty for one that is not listed."""
+    return {p.name: p.value for p in catalogue()[effect].parameters} if effect in catalogue() else {}
+
+
+def _is_present(fitted: FittedLogs, effect: str, evidence: Evidence | None, after: bool) -> bool | None:
     """Return whether an effect is present in one campaign; None if no parameter of it can tell.
 
-    ``differences`` and ``parameters`` are those of the compared parameters of the effect. If none is compared, because
-    each is at its bound in a log of either campaign, the effect is absent if all its parameters have the values without
-    the effect in all logs of the campaign: at the bound, or within two standard errors.
+    If no parameter could be tested, because each is at its bound in a log of either campaign, the effect is absent if
+    all its parameters have the values without the effect in all logs of the campaign: at the bound, or within two
+    standard errors.
     """
-    defaults = {p.name: p.value for p in catalogue()[effect].parameters} if effect in catalogue() else {}
-    tests = []
-    for parameter, found in zip(parameters, differences, strict=True):
-        null = defaults.get(parameter.name, 0.0)
-        mean: Contrast = found.after if after else found.before
-        if found.df > 0 and mean.error > 0.0:
-            tests.append(abs(mean.value - null) / mean.error > student_ppf(1 - LEVEL / 2 / len(parameters), mean.df))
-    if tests:
-        return bool(any(tests))
+    if evidence is not None:
+        return evidence.distance > evidence.needed
+    defaults = _values_without_effect(effect)
     own, of_campaign = (
         [r for rows in part.rows for r in rows.values() if r["effect"] == effect and r["free"]]
         for part in (fitted, fitted.part(fitted.after == after))

@@ -68,6 +68,7 @@ from seatrial.ident.workflows.compared_predictions import (
     predict_record,
     widened,
 )
+from seatrial.ident.workflows.compared_sizes import size_notes
 from seatrial.ident.workflows.compared_surroundings import surroundings_notes
 from seatrial.ident.workflows.comparison_errors import (
     at_common_samples,
@@ -491,6 +492,7 @@ def _result(
             *_runaway_notes(compared, simulated, horizons[0]),
             *_notes_on_logs(models),
             *_notes_on_parts(compared, letters, loaded),
+            *size_notes({label: c.saved for label, c in zip(letters, compared, strict=True)}),
             *surroundings_notes(
                 {label if len(compared) > 1 else "": c.saved for label, c in zip(letters, compared, strict=True)},
                 loaded,
@@ -793,9 +795,10 @@ def comparison_answer(result: ComparisonResult) -> str:
         return f"The logs have no prediction {seconds:g} s ahead that can be compared."
     best = next((row for row in shown if row[0].label == result.best), None)
     if best is not None:
-        words = f"Best {seconds:g} s ahead: ({best[0].label}) {best[0].name}. {_change_words(*best, first)}"
+        words = f"Best {seconds:g} s ahead: ({best[0].label}) {best[0].name}"
         if equal := _indistinguishable(result, seconds):
-            words += f" No channel distinguishes it from {equal}."
+            words += f", without a clear difference in any channel from {equal}"
+        words += f". {_change_words(*best, first)}"
         words += "".join(
             f" The error of ({m.label}) {m.name} is smaller still, but differs too much between the blocks of time for "
             f"a verdict. {_change_words(m, ratio, first)}"
@@ -813,7 +816,9 @@ def comparison_answer(result: ComparisonResult) -> str:
     else:
         words = f"No model is significantly better than ({first.label}) {first.name} {seconds:g} s ahead."
         if len(shown) == 1:
-            words += f" {_change_words(*shown[0], first)}"
+            second, ratio = shown[0]
+            both = f"({first.label}) {first.name} and ({second.label}) {second.name}"
+            words = f"No clear difference between {both} {seconds:g} s ahead. {_change_words(second, ratio, first)}"
         elif worse := [(m, ratio) for m, ratio in shown if ratio.verdict == "worse"]:
             words += f" {_worse_words(worse, first)}"
     of = best[0] if best is not None else shown[0][0] if len(shown) == 1 else None

@@ -161,7 +161,7 @@ def predict_record(task: PredictionTask) -> list[PredictedRecord]:
         try:
             views = list(evaluated_in_blocks(views[0].model, views, task.block))
         except FIT_ERRORS as problem:
-            raise SeatrialError(str(problem)) from problem
+            raise SeatrialError(str(problem)) from None
     return [_predictions(view, task) for view in views]
 
 

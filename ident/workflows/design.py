@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.config import (
+    ENOUGH_INSIDE,
     Mission,
     OperationArea,
     Prediction,
@@ -65,6 +68,7 @@ from seatrial.ident.experiment_design import (
     probability_of_true_model,
     reason_without_mission,
     reliable_duration,
+    rounded_up,
     row_spacing,
     separation_if_repeated,
 )
@@ -249,7 +253,9 @@ def make_design(
     here = provenance([], command)
     result = DesignResult(
         created=here.created, seatrial=here.seatrial, command=here.command,
-        answer=_design_answer(made, parameters, apart, found[best]) + _area_end(track, task.limits),
+        answer=_with_full_stop(
+            _design_answer(made, parameters, apart, found[best]) + _area_end(track, task.limits)
+        ),
         model=source, criterion=task.criterion if apart is None else "T", chosen=tuple(_criterion_parameters(task)),
         form="prediction error" if task.process_noise else "output error",
         value=made.value if apart is None else min(apart.if_first, apart.if_second),
@@ -909,6 +915,11 @@ def is_larger(criterion: float, than: float) -> bool:
     return criterion > than and format_number(criterion) != format_number(than)
 
 
+def _with_full_stop(answer: str) -> str:
+    """Return an answer that ends with a full stop if it has several sentences; one alone is a headline without it."""
+    return f"{answer.removesuffix('.')}." if re.search(r"[.!?] (?=[A-Z`])", answer) else answer
+
+
 def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
     """Return the end of the answer on the area of operation, after its last full stop; "" without an area or a track.
 
@@ -917,7 +928,32 @@ def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
     area = None if track is None else operation_area(track, limits)
     if track is None or area is None:
         return ""
-    return f". {area_sentence(area, track.x, track.y)}".removesuffix(".")
+    text = area_sentence(area, track.x, track.y)
+    enough = None if text.endswith("south-west corner.") else _enough_area(track, area)
+    if enough is None:
+        return f". {text}"
+    return f". {text} An area of {enough[0]:g} m by {enough[1]:g} m is large enough for this mission."
+
+
+def _enough_area(track: PredictedTrack, area: OperationArea) -> tuple[float, float] | None:
+    """Return the sides (north, east) [m] of an area about the same centre that the mission needs.
+
+    The nominal boat and the share `ENOUGH_INSIDE` of the sampled boats stay in it. None if their motion grows without
+    limit.
+    """
+    size = np.array(area.size)
+    centre = np.array(area.corner) + size / 2.0
+    nominal = np.stack([track.x, track.y], axis=1)
+    away = np.abs(track.others - centre).max(axis=1)  # of each boat, to the north and east
+    order = np.argsort(np.nan_to_num((away / size).max(axis=1), nan=np.inf), kind="stable")
+    kept = away[order[: math.ceil(ENOUGH_INSIDE * len(order))]]
+    half = np.vstack([kept, np.abs(nominal - centre).max(axis=0)]).max(axis=0)
+    if not np.isfinite(half).all():
+        return None
+    north, east = (
+        side if 2.0 * x <= side else rounded_up(2.0 * x) for side, x in zip(area.size, half.tolist(), strict=True)
+    )
+    return north, east
 
 
 def longer_mission_advice(apart: Discrimination, duration: float) -> str:

@@ -106,7 +106,7 @@ def export_model(request: ExportRequest) -> ExportedModel:
             inertia=request.inertia,
         )
     except ValueError as problem:
-        raise SeatrialError(f"{request.model}: {problem}") from problem
+        raise SeatrialError(f"{request.model}: {problem}") from problem.__cause__
     if request.target not in BLOCKS and (line := _scale_warning(thrust_scale_of(saved.model))):
         warn(line)
     return ExportedModel(file_name(saved, request.target, request.name), content)

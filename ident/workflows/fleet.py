@@ -284,7 +284,7 @@ def settings_of(vehicle: VehicleRequest) -> dict[str, Any]:
             try:
                 found[name] = f"{path.name} sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
             except OSError as problem:
-                raise SeatrialError(f"{path}: {problem.strerror}; give the path of an existing file") from problem
+                raise SeatrialError(f"{path}: {problem.strerror}; give the path of an existing file") from None
     return found
 
 

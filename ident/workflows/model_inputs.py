@@ -120,7 +120,7 @@ def derived_signals(
         try:
             found |= thrust_channels(channels, curve)
         except ValueError as problem:
-            raise SeatrialError(f"{path}: {problem}; the log has {', '.join(sorted(channels))}") from problem
+            raise SeatrialError(f"{path}: {problem}; the log has {', '.join(sorted(channels))}") from None
         held |= dict.fromkeys(CURVE_INPUTS, "zero")
     if "X" not in found and {"f_left", "f_right"} <= set(found):
         found["X"] = sum_of_held(found["f_left"], found["f_right"])

@@ -587,7 +587,7 @@ def static_curve(loaded: Sequence[LoadedLog], request: ThrusterRequest, command:
         if clearly_falls(levels.n, levels.force, float(levels.error.max())):
             raise ValueError(REVERSED_LOAD_CELL)
     except ValueError as problem:
-        raise SeatrialError(f"{where}: {problem}") from problem
+        raise SeatrialError(f"{where}: {problem}") from None
     curve, quadratic = fit_curve(levels), fit_quadratic(levels)
     measured = ThrustCurve(curve, len(names), _calibration(loaded))
     origin = provenance(loaded, command)

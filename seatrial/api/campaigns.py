@@ -100,12 +100,15 @@ class CampaignComparison(Shown):
         """
         from seatrial.ident.report.formatting import degrees_for
         from seatrial.ident.report.sections.campaigns import absolute_change, change_of, joint_words
+        from seatrial.ident.results import q_beside
 
-        rows = []
+        rows, rate = [], self.result.false_discovery_rate
         for p in (*self.result.combinations, *self.result.changed_first):
             factor, unit = degrees_for(p.unit)
             means = (number(factor * m.mean) for m in (p.before, p.after))
-            rows.append((p.name, *means, absolute_change(p), unit, change_of(p), number(p.q, 2)))
+            rows.append(
+                (p.name, *means, absolute_change(p), unit, change_of(p), "" if p.q is None else q_beside(p.q, rate))
+            )
         return Content(
             self.answer,
             tuple(map(in_python, filter(None, (joint_words(self.result), *self.result.notes)))),
@@ -134,7 +137,7 @@ def compare_campaigns(
     """Fit one model to the logs of two campaigns, and find what differs, as ``seatrial ident changes``.
 
     The question is whether the means of two groups of logs differ. Whether one parameter is the same in all logs of one
-    fit is another question, which ``seatrial ident vehicle --test-homogeneity NAME`` asks.
+    fit is another question, which ``st.fit(logs, homogeneity="NAME")`` asks.
 
     Parameters
     ----------
@@ -155,8 +158,8 @@ def compare_campaigns(
         they show are added to the model of all logs, with a difference of the thrusts of both sides. A model.toml gets
         this difference only, and a model of your own nothing.
     **options
-        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles`` and ``thrust_of``. The
-        default of ``score_tests`` is False.
+        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles``,
+        ``homogeneity``, ``per_log`` and ``thrust_of``. The default of ``score_tests`` is False.
 
     Returns
     -------

@@ -62,11 +62,11 @@ class Figure:
         """
         try:
             from plotly import graph_objects
-        except ModuleNotFoundError as problem:
+        except ModuleNotFoundError:
             raise SeatrialError(
                 "the Python package plotly is not installed, and this conversion needs it: pip install plotly; "
                 "notebooks draw the figure without it, and save(FILE.html) writes a page"
-            ) from problem
+            ) from None
         return graph_objects.Figure(self.to_dict())
 
     def show(self) -> None:

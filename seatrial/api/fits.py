@@ -100,6 +100,9 @@ class FitOptions(TypedDict, total=False):
         a tested fit as ``model`` are kept.
     profiles : sequence of str
         Names of the parameters whose profile likelihood is computed.
+    homogeneity : sequence of str
+        Names of parameters that all logs share, for which the fit tests whether the logs agree in one value. The answer
+        has the value of each log, and names the logs that differ.
     outlier_model : bool
         Whether outliers are part of the noise of all sensors, so that they have little weight. False by default.
     reml : bool
@@ -128,6 +131,7 @@ class FitOptions(TypedDict, total=False):
     mass: float
     score_tests: bool
     profiles: Sequence[str]
+    homogeneity: Sequence[str]
     outlier_model: bool
     reml: bool
     mean_order: Literal[1, 2]
@@ -728,8 +732,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
         them the fit is evaluated on ``logs``.
     **options
         `FitOptions`, which ``help(st.FitOptions)`` describes: thruster, thrust_of, fixed, initial, priors, effects,
-        effects_file, per_log, mass, score_tests, profiles, outlier_model, reml, mean_order, horizon, rate,
-        despite_faults, progress.
+        effects_file, per_log, mass, score_tests, profiles, homogeneity, outlier_model, reml, mean_order, horizon,
+        rate, despite_faults, progress.
 
     Returns
     -------

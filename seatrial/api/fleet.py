@@ -142,8 +142,8 @@ def fit_many(
     force : bool
         Whether to start again if ``out`` has fits.
     **options
-        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles``. With ``progress``, a
-        line is printed for each log.
+        `FitOptions` of each fit, which ``help(st.FitOptions)`` describes, except ``profiles``,
+        ``homogeneity`` and ``per_log``. With ``progress``, a line is printed for each log.
 
     Returns
     -------
@@ -180,15 +180,19 @@ def fit_many(
 
 
 def common_window(options: Mapping[str, Any], *logs: Logs) -> TimeWindow:
-    """Return the one window of all logs of a run over many logs, whose ``options`` may not ask for profiles.
+    """Return the one window of all logs of a run over many logs.
+
+    The ``options`` may not have ``profiles``, ``homogeneity`` or ``per_log``, which belong to one fit.
 
     Raises
     ------
     SeatrialError
-        If the options include ``profiles``, or if the logs have different windows.
+        If the options include one of these, or if the logs have different windows.
     """
     from seatrial.ident.data import TimeWindow
 
+    if "homogeneity" in options:
+        raise SeatrialError("homogeneity: this tests all logs of one fit together; use st.fit(logs, homogeneity=...)")
     if "profiles" in options:
         raise SeatrialError("profiles: the table of many logs has no profile likelihoods; compute them by st.fit")
     if "per_log" in options:

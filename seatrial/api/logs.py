@@ -376,7 +376,8 @@ def import_log(
             except SeatrialError as problem:
                 if type(problem) is not SeatrialError or str(guessed) not in str(problem):
                     raise
-                raise SeatrialError(str(problem).replace(str(guessed), f"guessed map of {source}")) from problem
+                text = str(problem).replace(str(guessed), f"guessed map of {source}")
+                raise SeatrialError(text).with_traceback(problem.__traceback__) from problem.__cause__
     return made
 
 

@@ -26,6 +26,7 @@ ARGUMENTS = {
     "--per-log": "per_log", "--validate": "validate", "--max-effects": "max_effects", "--exclude": "exclude",
     "--model": "model", "--horizon": "horizon", "--gnss-outage": "gnss_outages",
     "--thruster": "thruster", "--robust": "outlier_model", "--profile": "profiles", "--settle": "settle",
+    "--test-homogeneity": "homogeneity",
     "--force": "force=True", "--despite-faults": "despite_faults=True", "--no-reml": "reml=False",
     "--second-order": "mean_order=2", "--no-second-order": "mean_order=1", "--no-score-tests": "score_tests=False",
     "--thrust-curve": "thrust_curve", "--thrust-input": "thrust_input", "--source-only": "source_only=True",
@@ -34,6 +35,7 @@ ARGUMENTS = {
     "-o": "out", "--jobs": "jobs", "--n-max": "n_max", "--max-speed": "max_speed", "--area": "area",
     "--energy": "energy", "--current": "current", "--evaluations": "evaluations", "--duration": "duration",
     "--discriminate": "between", "--rate": "rate", "--steps": "steps", "--seed": "seed", "--slew": "slew",
+    "--prior-halfwidth": "prior_halfwidth",
     "--criterion": "criterion", "--parameters": "chosen", "--before": "before", "--after": "after", "--on": "logs",
     "--no-common-errors": "common_errors=False", "--false-discovery-rate": "false_discovery_rate",
     "--smooth": "smoothed=True", "--filter": "smoothed=False", "--name": "name", "--thrust-of": "thrust_of",
@@ -49,7 +51,7 @@ WITH_NUMBER = (
     "rate", "horizon", "max-effects", "settle", "n-max", "max-speed", "area", "energy", "current", "evaluations",
     "duration", "mass", "inertia", "jobs", "steps", "seed", "slew", "false-discovery-rate",
 )  # fmt: skip
-WITH_NAMES = ("effect", "exclude", "per-log", "profile")  # they may be repeated
+WITH_NAMES = ("effect", "exclude", "per-log", "profile", "test-homogeneity")  # they may be repeated
 VALUE_OF_OPTION = re.compile(
     rf"(?P<of_parameter>--(?:fix|initial|prior)) (?P<name>[A-Za-z]\w*)=(?P<value>{VALUE})(?::(?P<sd>{VALUE}))?"
     rf"|(?P<of_names>--(?:{'|'.join(WITH_NAMES)})) (?P<item>{NAME})"
@@ -323,7 +325,8 @@ def errors_of_users(own: Mapping[str, str] = MappingProxyType({})) -> Iterator[N
 
     A SeatrialError, and the new text of ValueError and KeyError, get the arguments of the Python interface in place of
     command-line options, for example ``fixed`` for ``--fix``. Classes derived from SeatrialError and other errors pass
-    unchanged. The new error has the old one as its cause. ``own`` is that of `in_python`.
+    unchanged. The new error has the traceback and the cause of the old one, so that one traceback is shown. ``own`` is
+    that of `in_python`.
     """
     try:
         yield
@@ -331,6 +334,7 @@ def errors_of_users(own: Mapping[str, str] = MappingProxyType({})) -> Iterator[N
         text = in_python(str(problem), own)
         if type(problem) is not SeatrialError or text == str(problem):
             raise
-        raise SeatrialError(text) from problem
+        raise SeatrialError(text).with_traceback(problem.__traceback__) from problem.__cause__
     except (ValueError, KeyError) as problem:
-        raise SeatrialError(in_python(str(problem).strip("'\""), own)) from problem
+        text = in_python(str(problem).strip("'\""), own)
+        raise SeatrialError(text).with_traceback(problem.__traceback__) from problem.__cause__

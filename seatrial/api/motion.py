@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import degrees
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,7 +101,9 @@ class Linearisation(Shown, LinearModel):
     """
 
     def to_pandas(self) -> Any:
-        """Return the poles as a ``pandas.DataFrame`` with a row for each, the slowest first.
+        """Return the poles as a ``pandas.DataFrame`` with a row for each, in the order of `poles`.
+
+        Those of the boat come first, then those of its thrusters, then those of waves, sensors and other states.
 
         The columns are real, imaginary [1/s], time_constant [s], se (its standard error; NaN if unknown), frequency
         [Hz], damping (ratio, 1 for a real stable pole) and mainly (the states that take most part in it). An unstable
@@ -251,7 +254,7 @@ class Linearisation(Shown, LinearModel):
         check_number("size", size, "the unit of the inputs")
         at = self.response_times(t)
         self._warn_of_growth()
-        panels = []
+        panels, shown = [], dict[str, None]()
         for name, chosen in self._chosen(inputs).items():
             found = super().step_response(chosen, at)
             moved = [m.step_response(chosen, at) for m in self.moved]
@@ -264,9 +267,10 @@ class Linearisation(Shown, LinearModel):
                     panel.traces.append(band(at, value, 1.96 * np.abs(sd), POINTS))
                 panel.traces.append(line_trace(at, value, state, POINTS))
                 panels.append(panel)
+                shown[state] = None
         figure, height = stacked(panels, "time [s]")
         layout = figure["layout"] | {"height": height, "showlegend": False}
-        return Figure(f"Step responses at {self.speed:g} m/s", figure["data"], layout)
+        return Figure(self._title("Step responses", shown, self._chosen(inputs)), figure["data"], layout)
 
     def plot_bode(self, inputs: Inputs | None = None, *states: str, frequency: ArrayLike | None = None) -> Figure:
         """Return a Bode plot: gain [dB] and phase [deg] over the frequency [Hz], with 95 % bands and the dead time.
@@ -302,6 +306,7 @@ class Linearisation(Shown, LinearModel):
         )
 
         gain, phase, shown = Panel("gain [dB]"), Panel("phase [deg]"), list[Bode]()
+        shown_states: dict[str, None] = {}
         for name, chosen in self._chosen(inputs).items():
             for state, bode in self.bode(chosen, frequency).items():
                 if states and state not in states:
@@ -314,6 +319,7 @@ class Linearisation(Shown, LinearModel):
                 lines = phase_traces(bode.frequency, bode.phase, bode.phase_sd, words, POINTS, **style)
                 phase.traces += [{**trace, "showlegend": False} for trace in lines]
                 shown.append(bode)
+                shown_states[state] = None
         if not gain.traces:
             asked = ", ".join(states) or "no state"
             raise SeatrialError(f"{asked}: does not respond to these inputs; the states are {', '.join(self.states)}")
@@ -321,7 +327,7 @@ class Linearisation(Shown, LinearModel):
         figure, height = stacked([gain, phase], FREQUENCY, panel_height=220)
         layout = _legend_below(figure["layout"], height)
         layout |= {"xaxis": layout["xaxis"] | frequency_axis()}
-        return Figure(f"Bode plot at {self.speed:g} m/s", figure["data"], layout)
+        return Figure(self._title("Bode plot", shown_states, self._chosen(inputs)), figure["data"], layout)
 
     def _chosen(self, inputs: Inputs | None) -> dict[str, Inputs]:
         """Return the inputs of a figure by the name that it shows; for None those of all motions."""
@@ -330,6 +336,11 @@ class Linearisation(Shown, LinearModel):
         weights = self._weights(inputs)
         words = inputs if isinstance(inputs, str) else ", ".join(f"{w:+g} {n}" for n, w in weights.items())
         return {words: weights}
+
+    def _title(self, what: str, states: Iterable[str], inputs: Iterable[str]) -> str:
+        """Return the title of a figure: ``Bode plot of r from turn at 0.6 m/s, heading 40 deg``."""
+        words = f"{what} of {', '.join(states)} from {' and '.join(inputs)} at {self.speed:g} m/s"
+        return f"{words}, heading {degrees(self.conditions['psi']):.4g} deg" if "psi" in self.conditions else words
 
     def _content(self) -> Content:
         """Return speed and stability, and the table of the poles."""

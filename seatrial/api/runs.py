@@ -137,6 +137,9 @@ class DesignOptions(TypedDict, total=False):
     rates : dict of str to float
         Sample rates [Hz] by name of the sensor. Others have the rate of the data that the model was fitted to, or 10 Hz
         if it is unknown.
+    prior_halfwidth : float
+        Relative half-width of the prior of the parameters, 0 to 0.9, if the model is a structure without a fit; 0.25 by
+        default.
     evaluations : int
         Number of simulations of the mission in the search for the best commands, at least 500; 20000 by default.
     seed : int
@@ -159,6 +162,7 @@ class DesignOptions(TypedDict, total=False):
     slew: float
     shortest: float
     rates: Mapping[str, float]
+    prior_halfwidth: float
     evaluations: int
     seed: int
     progress: bool
@@ -490,7 +494,7 @@ def design(
         Whether existing files are replaced. If false, an existing file is an error.
     **options
         `DesignOptions`, which ``help(st.DesignOptions)`` describes: duration, steps, criterion, chosen, between, area,
-        max_speed, energy, current, n_max, slew, shortest, rates, evaluations, seed, progress.
+        max_speed, energy, current, n_max, slew, shortest, rates, prior_halfwidth, evaluations, seed, progress.
 
     Returns
     -------
@@ -520,6 +524,8 @@ def design(
     given, file = known_options(options, DesignOptions), as_path(out, "out")
     _check_design(given)
     reporter = Messages(given.pop("progress", None), OF_DESIGN)
+    if "prior_halfwidth" in given:
+        given["spread"] = given.pop("prior_halfwidth")
     area, speed, energy, current = (given.pop(name, None) for name in ("area", "max_speed", "energy", "current"))
     limits = DesignLimits(None if area is None else as_sides("area", area), speed, energy, current or 0.0)
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
@@ -535,7 +541,7 @@ def design(
 def _check_design(given: Mapping[str, Any]) -> None:
     """Raise SeatrialError if options of a design (`DesignOptions`) are no names, or are not as the command wants them.
 
-    These are ``criterion``, ``chosen``, ``between`` and ``rates``.
+    These are ``criterion``, ``chosen``, ``between``, ``rates`` and ``prior_halfwidth``.
     """
     from seatrial.ident.experiment_design import Kind
 
@@ -548,6 +554,9 @@ def _check_design(given: Mapping[str, Any]) -> None:
         raise SeatrialError(f"between {shortened(between)}: give exactly two effects, such as ('delay', 'lag')")
     if not isinstance(rates, Mapping):
         raise SeatrialError(f'rates {shortened(rates)}: give a dict by sensor, in Hz, such as {{"position": 1.0}}')
+    width = given.get("prior_halfwidth", 0.0)
+    if isinstance(width, bool) or not isinstance(width, Real) or not 0.0 <= float(width) <= 0.9:
+        raise SeatrialError(f"prior_halfwidth {shortened(width)}: give a number from 0 to 0.9")
     for sensor, rate in rates.items():
         if isinstance(rate, bool) or not isinstance(rate, Real) or not 0.0 < float(rate) < np.inf:
             raise SeatrialError(f"rates: {sensor}: {shortened(rate)}: give a number above zero, in Hz")

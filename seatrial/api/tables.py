@@ -400,7 +400,7 @@ def read_parquet(path: Path) -> Any:
         return parquet.read_table(path)
     except (OSError, arrow.ArrowException) as problem:
         line = str(problem).splitlines()[0]
-        raise SeatrialError(f"{path}: cannot be read ({line}); run the command again") from problem
+        raise SeatrialError(f"{path}: cannot be read ({line}); run the command again") from None
 
 
 def _cells(row: Statistics) -> tuple[str, ...]:

@@ -983,6 +983,8 @@ def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, t
     np.testing.assert_allclose(again.to_pandas()["se"], table["se"], rtol=1e-3)
 
     bode = at.plot_bode()
+    assert bode.title.startswith("Bode plot of u, v, r from ")
+    assert at.plot_bode("turn", "r").title.startswith("Bode plot of r from turn at 0.5 m/s")
     lines = [trace for trace in bode.data if trace["name"]]
     assert [trace["name"] for trace in lines[:3]] == ["u [m/s], straight", "v [m/s], turn", "r [deg/s], turn"]
     assert len({(trace["line"]["color"], trace["line"]["dash"]) for trace in lines[:3]}) == 3
@@ -992,6 +994,8 @@ def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, t
     with pytest.raises(SeatrialError, match=r"p: does not respond to these inputs; the states are u, v, r"):
         at.plot_bode("turn", "p")
     step = at.plot_step({"n_left": 1.0}, size=0.2, t=np.linspace(0.0, 5.0, 20))
+    assert step.title.startswith("Step responses of ")
+    assert " from +1 n_left at 0.5 m/s" in step.title
     rise = next(trace for trace in step.data if trace["name"] == "u")
     assert rise["y"][-1] == pytest.approx(0.2 * at.step_response("n_left", np.array([5.0]))["u"][0], rel=1e-4)
     step.save(tmp_path / "step.html")
@@ -1979,7 +1983,13 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
         (lambda logs, fit: st.design("boat", "x.toml"), "boat"),
+        (
+            lambda logs, fit: st.fit_many(logs, homogeneity="d_uu"),
+            "homogeneity: this tests all logs of one fit together",
+        ),
+        (lambda logs, fit: st.fit(logs, homogeneity="zz", score_tests=False), "homogeneity zz: not a free parameter"),
         (lambda logs, fit: st.design(fit, "x.toml", area=60.0), "area 60.0: give its sides to north and east in m, s"),
+        (lambda logs, fit: st.design(fit, "x.toml", prior_halfwidth=1.5), "prior_halfwidth 1.5: give a number from 0"),
         (lambda logs, fit: st.design(fit, "x.toml", max_speed=0), "max_speed 0: give a speed above zero, in m/s"),
         (lambda logs, fit: st.design(fit, "x.toml", energy=2.0), "energy 2.0: give a number from 1e-06 to 1 (full p"),
         (lambda logs, fit: st.design(fit, "x.toml", current="1"), "current '1': give a number from 0 to 2 m/s"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import traceback
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,8 +14,9 @@ import click
 import pytest
 
 from seatrial.api.arguments import WHOLE
-from seatrial.api.messages import OF_DESIGN, OF_THRUSTER, OPTION, Messages, in_python, warn_of_result
-from seatrial.daq.errors import SeatrialWarning
+from seatrial.api.messages import OF_DESIGN, OF_THRUSTER, OPTION, Messages, errors_of_users, in_python, warn_of_result
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.files import require_new
 from seatrial.ident.cli.commands import design
 
 ROOT = Path(__file__).parents[2]
@@ -98,6 +100,25 @@ def test_each_option_that_a_text_names_has_the_words_of_python() -> None:
     assert {"--rate", "--max-effects", "--parameters"} <= named & known
     of_formats = {"--score-tests"}  # in the description of a field alone
     assert [option for option in sorted((named & known) - of_formats) if in_python(option) == option] == []
+
+
+@pytest.mark.parametrize("kind", [SeatrialError, ValueError])
+def test_an_error_in_the_words_of_python_has_one_traceback(kind: type[Exception], tmp_path: Path) -> None:
+    """A user saw two tracebacks, the first with the option of the command. The frames of the computation stay."""
+
+    def computation() -> None:
+        raise kind("give another --per-log")
+
+    with pytest.raises(SeatrialError, match="give another per_log") as found, errors_of_users():
+        computation()
+    shown = "".join(traceback.format_exception(found.value))
+    assert shown.count("Traceback (most recent call last)") == 1
+    assert "in computation" in shown
+    existing = tmp_path / "boat.yaml"
+    existing.touch()
+    with pytest.raises(SeatrialError, match="force=True replaces it") as found, errors_of_users():
+        require_new(existing, False)
+    assert "".join(traceback.format_exception(found.value)).count("Traceback") == 1
 
 
 def test_the_rate_of_a_design_is_that_of_sensors() -> None:

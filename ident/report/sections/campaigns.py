@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,6 +28,7 @@ FAMILIES = {
     "surroundings": "Sensors and surroundings",
     "noise": "Noise, disturbances and offsets",
 }
+CAMPAIGNS: tuple[Literal["before", "after"], ...] = ("before", "after")
 COLORS = {"before": drawing.BEFORE, "after": drawing.MODEL}
 SYMBOLS = {"before": "circle-open", "after": "circle"}
 SHORT_UNIT = 3  # characters; with longer ones beside the numbers the table is wider than a window (it has them once)
@@ -82,20 +83,47 @@ def _signed(value: float, percent: bool, error: float) -> str:
     return f"{rounded:+.{digits}f}".replace("-", "−") if rounded else f"{0.0:.{digits}f}"
 
 
-def effect_words(effect: EffectDifference) -> tuple[str, str, str, str]:
-    """Return an effect as texts: its name, whether it is present before and after, and whether it has changed."""
-    words = {True: "present", False: "not significant", None: NOT_COMPARED}
-    return effect.name, words[effect.before], words[effect.after], "changed" if effect.changed else ""
+def effect_words(effect: EffectDifference, result: CampaignsResult) -> tuple[str, str, str, str]:
+    """Return an effect as texts: its name, whether it is present before and after, and whether it has changed.
+
+    An effect that is not significant in a campaign has its strongest parameter, with the standard errors that separate
+    it from its value without the effect, and those that are needed, as in ``not significant: F_wx -0.6 ± 0.5 N
+    (1.2 of 4.3)``.
+    """
+    before, after = (_presence(effect, result, c) for c in CAMPAIGNS)
+    return effect.name, before, after, "changed" if effect.changed else ""
+
+
+def _presence(effect: EffectDifference, result: CampaignsResult, campaign: Literal["before", "after"]) -> str:
+    """Return in words whether an effect is present in a campaign."""
+    present, evidence = effect.before, effect.evidence_before
+    if campaign == "after":
+        present, evidence = effect.after, effect.evidence_after
+    words = {True: "present", False: "not significant", None: NOT_COMPARED}[present]
+    p = None if evidence is None else next((p for p in result.parameters if p.name == evidence.name), None)
+    if present is not False or evidence is None or p is None:
+        return words
+    mean, (factor, unit) = getattr(p, campaign), formatting.degrees_for(p.unit)
+    size = f"{formatting.with_error(factor * mean.mean, factor * mean.se)} {unit}".rstrip()
+    return f"{words}: {p.name} {size} ({evidence.distance:.1f} of {evidence.needed:.1f})"
 
 
 def effects_caption(result: CampaignsResult) -> str:
-    """Return the sentence that explains effects without a verdict; empty if each has one."""
-    if all(None not in (e.before, e.after) for e in result.effects):
-        return ""
-    return (
-        f"{NOT_COMPARED[0].upper()}{NOT_COMPARED[1:]}: no parameter of the effect could be tested in this campaign; "
-        "the reasons are in the table of what is not compared."
-    )
+    """Return the sentences that explain effects that are not significant or have no verdict; empty without them."""
+    verdicts = {v for e in result.effects for v in (e.before, e.after)}
+    lines = []
+    if False in verdicts:
+        lines.append(
+            "Not significant: the logs of this campaign alone do not distinguish the effect from zero, at 5 % for all "
+            "its parameters together. In brackets: standard errors from the value without the effect, of those that "
+            "are needed. Few logs need many (Student's t)."
+        )
+    if None in verdicts:
+        lines.append(
+            f"{NOT_COMPARED[0].upper()}{NOT_COMPARED[1:]}: no parameter of the effect could be tested in this "
+            "campaign; the reasons are in the table of what is not compared."
+        )
+    return " ".join(lines)
 
 
 def joint_words(result: CampaignsResult) -> str:
@@ -113,14 +141,18 @@ def changes_section(result: CampaignsResult) -> Section:
         ("before ± s.e.", "num"), ("after ± s.e.", "num"), ("found from", "num"), ("scatter", "num"), ("p", "num"),
     )  # fmt: skip
     together = sorted(result.combinations, key=lambda c: not c.changed)
-    rows: list[list[Cell | str]] = [_cells(p) for p in result.parameters if p.changed]
+    rows: list[list[Cell | str]] = [_cells(p, result.false_discovery_rate) for p in result.parameters if p.changed]
     for family, title in FAMILIES.items():
         if own := [p for p in result.parameters if p.family == family and not p.changed]:
             rows += [[Cell(title)]] if title else []
-            rows += [_cells(p) for p in own]
+            rows += [_cells(p, result.false_discovery_rate) for p in own]
     blocks: list[Any] = [Table(columns, rows, stacked=True)] if rows else []
     if together:
-        of_them = Table((("combination of parameters", ""), *columns[1:]), [_cells(c) for c in together], stacked=True)
+        of_them = Table(
+            (("combination of parameters", ""), *columns[1:]),
+            [_cells(c, result.false_discovery_rate) for c in together],
+            stacked=True,
+        )
         blocks.insert(0, of_them)
     lead = (
         "Means of the separate fits to the logs, with the scatter between logs as a random effect (REML) and intervals "
@@ -143,7 +175,8 @@ def changes_section(result: CampaignsResult) -> Section:
     blocks += [Prose(line) for line in lines]
     if result.effects:
         found = [
-            [Cell(w, "code") if k == 0 else Cell(w) for k, w in enumerate(effect_words(e))] for e in result.effects
+            [Cell(w, "code") if k == 0 else Cell(w) for k, w in enumerate(effect_words(e, result))]
+            for e in result.effects
         ]
         blocks += [Heading("Effects"), Table((("effect", ""), ("before", ""), ("after", ""), ("", "")), found)]
         blocks += [Prose(line) for line in filter(None, [effects_caption(result)])]
@@ -156,13 +189,13 @@ def changes_section(result: CampaignsResult) -> Section:
     return Section("changes", "Changes", blocks, lead if rows else "")
 
 
-def _cells(p: Difference) -> list[Cell | str]:
-    """Return the table cells of one parameter, or of one combination of parameters."""
+def _cells(p: Difference, rate: float) -> list[Cell | str]:
+    """Return the table cells of one parameter, or of one combination; ``rate`` is the false discovery rate."""
     factor, unit = formatting.degrees_for(p.unit)
     before, after = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
     scatter = None if p.scatter is None else factor * p.scatter
     changes = (absolute_change(p), change_of(p, SHORT_UNIT), _detectable_text(p))
-    numbers = (formatting.probability(p.q), *changes[:2], before, after, changes[2], formatting.plain(scatter, 2))
+    numbers = (formatting.probability(p.q, rate), *changes[:2], before, after, changes[2], formatting.plain(scatter, 2))
     verdict = Cell("changed", "strong") if p.changed else Cell("unknown" if p.q is None else "–", "quiet")
     return [
         Cell(p.name, "" if isinstance(p, CombinationDifference) else "symbol"),

@@ -85,6 +85,16 @@ def test_absolute_and_socketcan_ports_are_not_changed(example: str) -> None:
         ('["pitch_deg"]', '["unwatched"]', r"limits\.unwatched: 'unwatched' is not a limit"),
         ("[limits]", "[limit]", r"limit: unknown key 'limit'; did you mean 'limits'\? Known here: format, name"),
         ("[limits]", "[limits", r"not valid TOML.*line"),
+        (
+            "n_max = 1.0",
+            "n_max = 128 kg",
+            r"line \d+: not valid TOML: n_max = 128 kg is a number with a unit; write the number alone, "
+            r"in the unit that the format states: n_max = 128$",
+        ),
+        ("n_max = 1.0", "n_max = 1.5m/s", r"n_max = 1\.5m/s is a number with a unit; .*: n_max = 1\.5$"),
+        ("n_max = 1.0", "n_max = 10 %  # of full", r"n_max = 10 % is a number with a unit; .*: n_max = 10$"),
+        ('name = "mock boat"', "name = boat", r'name = boat is a text without quotes; write name = "boat"'),
+        ("n_max = 1.0", "n_max = 1.2.3", r"not valid TOML: Expected newline .*line \d+.*; correct the text there"),
         ('name = "mock boat"', 'name = "a\\u001b[2Jb"', r"name: has characters that are not printable: 'a\\x1b\[2Jb'"),
         ("m_u = ", '"m\\u0007" = ', r"vehicle\.'m\\x07': this name has characters that are not printable"),
         ("commands = false", "commands = 1", r"ros2\.commands: must be true or false"),

@@ -23,11 +23,12 @@ import seatrial as st
 from seatrial.daq import cli
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers import guess
+from seatrial.daq.importers.bench_table import _command_scale
 from seatrial.daq.importers.clocks import Clock, clock_of
 from seatrial.daq.importers.guess import Guess, guess_map, guess_maps, outputs
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.import_map import parse_import_map
-from seatrial.daq.importers.recognise import read_name, resting_pulse
+from seatrial.daq.importers.recognise import pulse_keys, read_name, resting_pulse
 from seatrial.daq.importers.sources import SourceKind
 from seatrial.daq.importers.table import Table, TextStyle
 from seatrial.daq.importers.text_table import sniff_style
@@ -862,3 +863,12 @@ def test_command_in_the_first_line_names_the_files_as_given(tmp_path: Path, monk
     folder.mkdir()
     (folder / "run.csv").write_text("time,yaw_rad\n" + "\n".join(f"{0.1 * k},{0.01 * k}" for k in range(50)) + "\n")
     assert "then run `seatrial import MAP 'my bags/run.csv'`" in guess_map(folder / "run.csv").text
+
+
+def test_offset_of_zero_has_no_sign() -> None:
+    """A map had ``offset = -0``, which looks like a mistake."""
+    command = np.repeat([0.0, 50.0, 100.0, 0.0, -50.0], 20)
+    for is_reversed in (False, True):
+        keys, _ = _command_scale(command, np.abs(command), is_reversed)
+        assert "offset = 0," in keys
+    assert "offset = 0," in pulse_keys(0.0)

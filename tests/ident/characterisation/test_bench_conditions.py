@@ -90,7 +90,7 @@ def test_log_of_a_moving_boat_is_named_as_no_bench_run(speed: float, moves: bool
     assert value > 0.09
     assert f"d = {value:.3g} is {TURNS_INSIDE}, where this model gives" in header
     joined = _remarks([Drive("n_left", "left", saved, saved.model)], own_curve=False)
-    assert f"d_left = {value:.3g} is {TURNS_INSIDE}" in " ".join(joined)
+    assert f"d_left is zero: the fitted {value:.3g} is not shown by its data" in " ".join(joined)
     assert TURNS_INSIDE not in str(export(replace(saved, flags={}), "python"))
     assert "its dead zone is not determined" in result["answer"]
     assert "does not turn below" not in result["answer"]

@@ -18,7 +18,7 @@ from msgspec import structs
 
 import seatrial as st
 from seatrial import command_line
-from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_mission
+from seatrial.daq.config.mission_file import OperationArea, dump_mission, load_mission, parse_mission
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import SavedModel, load_model
@@ -30,6 +30,7 @@ from seatrial.ident.experiment_design.discrimination import (
     separation,
     separation_if_repeated,
 )
+from seatrial.ident.experiment_design.optimal_design import PredictedTrack
 from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits, DesignProblem
 from seatrial.ident.model.structure import Model
@@ -43,6 +44,7 @@ from seatrial.ident.workflows.design import (
     _design_answer,
     _design_warnings,
     _discrimination_lines,
+    _enough_area,
     _size_row,
     design_summary,
     hypotheses,
@@ -318,6 +320,17 @@ def test_the_help_of_the_area_says_that_a_boat_may_leave_it(capsys: pytest.Captu
     assert "The tracks of 24 boats of the prior keep to it; your boat may leave it" in text
 
 
+def test_area_that_is_enough_holds_nearly_all_boats_about_the_same_centre() -> None:
+    t = np.linspace(0.0, 1.0, 5)
+    reach = np.arange(1.0, 101.0)
+    others = np.stack([reach[:, None] * t, 0.1 * reach[:, None] * t], axis=2)
+    track = PredictedTrack(t, 10.0 * t, t, t, others, 0.3, np.array([-15.0, -10.0]))
+    area = OperationArea((30.0, 20.0), (-15.0, -10.0), 0.3)
+    assert _enough_area(track, area) == (200.0, 20.0)  # 95 m to the north, twice, and 5 % more
+    away = replace(track, others=np.full_like(others, np.inf))
+    assert _enough_area(away, area) is None
+
+
 def test_answer_and_mission_say_whether_the_boat_stays_in_the_area(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -333,9 +346,11 @@ def test_answer_and_mission_say_whether_the_boat_stays_in_the_area(
         f"{100 * inside:.0f} % of the boats with sampled parameters do"
     )
     assert words_of_area in result["answer"]
+    assert result["answer"].endswith(".")  # the page ended without a full stop
     assert words_of_area in " ".join(printed.split())
     assert words_of_area in run(capsys, "show", str(out))[1]
     assert ("To keep more of them inside" in result["answer"]) == (inside < 0.95)
+    assert ("is large enough for this mission" in result["answer"]) == (inside < 0.95)
     expected = load_mission(out).prediction
     assert expected is not None
     assert expected.area is not None
@@ -709,7 +724,7 @@ def test_typical_size_follows_the_size_of_the_boat() -> None:
         ),
         (("thruster",), 1, "no mission can be designed for model thruster: it describes a thruster on its bench"),
         (("none.toml",), 1, "none.toml: cannot be read: No such file"),
-        (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),
+        (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give a larger area, such as --area "),
     ],
 )
 def test_invalid_request_gives_a_one_line_error(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -85,7 +86,10 @@ def test_different_logs_are_found_to_differ() -> None:
     # The standard error of the common fit is too small, even after its inflation for autocorrelated residuals.
     assert found.mean_error > 3 * plain_error
     assert found.mean_error > 1.5 * found.error > 1.5 * plain_error
-    assert "do not agree" in homogeneity_sentence(found)
+    told = homogeneity_sentence(found)
+    assert "do not agree" in told
+    assert " (run0), " in told
+    assert re.search(r"standard errors\) is between \S.* with larger values and run0", told)
     plain = homogeneity_sentence(replace(found, unit="", value=0.17, error=0.0025))
     assert ": 0.1700 ± 0.0025 from all logs together" in plain
     assert "  " not in plain

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
+from seatrial.api.messages import in_python
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.effects.registry import catalogue
@@ -27,6 +28,7 @@ from seatrial.ident.experiment_design.optimal_design import (
     monte_carlo,
     predicted_errors,
     predicted_track,
+    rounded_up,
 )
 from seatrial.ident.experiment_design.prior import ParameterPrior
 from seatrial.ident.experiment_design.problem import GRID, DesignLimits, DesignProblem
@@ -133,8 +135,8 @@ def test_a_chosen_parameter_at_its_bound_names_the_reason() -> None:
 
 
 def test_impossible_limits_give_a_one_line_error() -> None:
-    with pytest.raises(SeatrialError, match=r"--area 1x1 .*give more room"):
-        design(boat_task(30.0, 6, limits=DesignLimits(area=(1.0, 1.0))), evaluations=600)
+    with pytest.raises(SeatrialError, match=r"--max-speed 0.01 .*give more room"):
+        design(boat_task(30.0, 6, limits=DesignLimits(speed=0.01)), evaluations=600)
     with pytest.raises(SeatrialError, match="do not fit"):
         StepInput(100, 2, 60.0, 1.0, GRID)
     with pytest.raises(SeatrialError, match="'q' cannot be estimated"):
@@ -144,6 +146,24 @@ def test_impossible_limits_give_a_one_line_error() -> None:
             DesignProblem(yaw_model(), StepInput(8, 1, 40.0, 1.0, GRID), limits=DesignLimits(area=(9.0, 9.0))),
             evaluations=600,
         )
+
+
+def test_proposed_area_is_large_enough() -> None:
+    """The message said only that the area is too small, and the user had to try areas."""
+    task = boat_task(30.0, 6, limits=DesignLimits(area=(1.0, 1.0)))
+    with pytest.raises(SeatrialError, match=r"--area 1x1 .*a larger area, such as --area ") as problem:
+        design(task, evaluations=600)
+    found = re.search(
+        r"such as --area ([\d.]+)x([\d.]+) \(the nearest sequence needs ([\d.]+) m north", str(problem.value)
+    )
+    assert found is not None
+    north, east, needed = map(float, found.groups())
+    assert needed < north < 1.3 * needed
+    assert f"area=({north:g}, {east:g})" in in_python(str(problem.value))
+    assert "prior_halfwidth" in in_python(str(problem.value))
+    made = design(replace(task, limits=DesignLimits(area=(north, east))), evaluations=600)
+    assert made.evaluator.violation(made.command[:, :, None])[0] <= 1e-3
+    assert [rounded_up(x) for x in (100.0, 9.1, 43.0)] == [110.0, 9.6, 46.0]
 
 
 def test_chosen_parameters_and_earlier_logs_change_the_design() -> None:

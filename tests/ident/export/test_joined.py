@@ -24,6 +24,7 @@ from seatrial.ident.export.formats import export
 from seatrial.ident.export.joined import join, with_thrust_input
 from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.model.structure import Model
+from seatrial.ident.models.dead_zone import TURNS_INSIDE
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.kinematic import kinematic_model
 from seatrial.ident.models.nomoto import nomoto_model
@@ -99,6 +100,26 @@ def cascade(values: np.ndarray, dt: float) -> np.ndarray:
             x = x + COPY_STEP_S / 6 * (k1 + 2 * k2 + 2 * k3 + rates(x + COPY_STEP_S * k3))
         found.append(x)
     return np.array(found)
+
+
+@pytest.mark.parametrize("reason", ["vague", "contradicted"])
+def test_dead_zones_that_the_bench_does_not_show_are_zero_in_the_joined_model(reason: str) -> None:
+    """Both sides are told in one warning, with the option that fixes a dead zone."""
+    unsure = {
+        side: replace(
+            saved(model.replace_parameters(model.parameter("d").freed())),
+            errors={"d": 0.6 * model.values["d"] if reason == "vague" else 0.001},
+            flags={"d": TURNS_INSIDE} if reason == "contradicted" else {},
+        )
+        for side, model in BENCHES.items()
+    }
+    with pytest.warns(SeatrialWarning, match=r"d_left = 0\.08, d_right = 0\.03\. .*--fix d=0, .*--fix d=VALUE"):
+        joined = join(collect_content(saved(boat())), unsure)
+    assert [joined.model.values[n] for n in ("d_left", "d_right")] == [0.0, 0.0]
+    fixed = {s: replace(x, model=known(x.model, d=x.model.values["d"])) for s, x in unsure.items()}
+    sure = {s: replace(x, errors={"d": 0.001}, flags={}) for s, x in unsure.items()}
+    for kept in (fixed, sure):  # the user knows it, or the data show it
+        assert join(collect_content(saved(boat())), kept).model.values["d_left"] == 0.08
 
 
 def test_header_of_a_joined_model_is_short() -> None:

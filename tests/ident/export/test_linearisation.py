@@ -288,6 +288,20 @@ def test_lag_of_an_unstable_boat_is_that_beyond_its_unstable_pole() -> None:
     assert stable.no_lag_90.startswith("The state never lags by 90 deg up to")
 
 
+def test_poles_of_the_boat_come_before_those_of_thrusters_and_waves() -> None:
+    """Lightly damped waves are the slowest poles, and stood before those of the boat."""
+    values = {"T_n": 0.15, "d_r": 9.7 * 4.0, "d_v": 37.0}
+    model = horizontal_model("command") + catalogue()["waves"]
+    found = linearise(saved(model, values), 0.7)
+    kinds = [2 if "wave" in n else 1 if n.startswith("n_") else 0 for n in found.mainly]
+    assert kinds == sorted(kinds)
+    assert set(kinds) == {0, 1, 2}
+    for k in set(kinds):
+        assert (np.diff(np.abs(found.poles.real[np.array(kinds) == k])) >= -1e-12).all()
+    slowest = int(np.argmin(np.abs(found.poles.real)))
+    assert kinds[slowest] == 2
+
+
 def test_poles_are_named_by_the_states_that_take_most_part() -> None:
     """A boat without coupling has one state for each pole. A state is named by its own diagonal element."""
     values = {"m_v": VALUES["m_u"], "T_n": 0.15, "d_r": 9.7 * 4.0, "d_v": 37.0}  # equal masses: no moment by sway

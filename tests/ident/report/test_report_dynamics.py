@@ -13,6 +13,7 @@ from seatrial.api.tables import statistics
 from seatrial.ident.report import page
 from seatrial.ident.report.blocks import Budget, Canvas
 from seatrial.ident.report.bode import phase_axis
+from seatrial.ident.report.drawing import angle_step
 from seatrial.ident.report.sections.dynamics import section
 from seatrial.ident.report.sections.runs import _forward_speeds, _path_traces, _wide_bands, growth_over_speed, wide_band
 from seatrial.ident.results import (
@@ -245,6 +246,14 @@ def test_interval_of_a_quantity_that_cannot_be_negative_ends_at_zero() -> None:
     assert [r.low for r in rows] == pytest.approx([0.0, 0.5 - 1.959964 * 0.4])
     assert [r.high for r in rows] == pytest.approx(2 * [0.5 + 1.959964 * 0.4])
     assert statistics(msgspec.structs.replace(found.fit.parameters[0], se=None)).low != 0.0  # NaN
+
+
+def test_heading_of_many_turns_has_at_most_six_ticks() -> None:
+    """Ten labels of a simulated heading lay on each other in a panel of 132 px."""
+    for span in (90.0, 400.0, 1620.0, 5000.0):
+        step = angle_step([0.0, span])
+        assert span / step <= 5.0
+        assert step % 45.0 == 0.0
 
 
 def test_phase_axis_has_few_ticks_at_round_angles() -> None:

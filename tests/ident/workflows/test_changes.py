@@ -25,6 +25,7 @@ from seatrial.ident.estimation.standard_errors import AT_BOUND
 from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report import write_report
+from seatrial.ident.report.formatting import probability
 from seatrial.ident.report.sections.campaigns import (
     _signed,
     absolute_change,
@@ -43,7 +44,7 @@ from seatrial.ident.results import (
     campaigns_answer,
     write_result,
 )
-from seatrial.ident.results.campaigns import _with_interval
+from seatrial.ident.results.campaigns import _with_interval, q_beside
 from seatrial.ident.results.parts import CommonErrorsRow, EffectParameter
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.workflows.campaign_combinations import rounded_below
@@ -677,10 +678,11 @@ def test_a_change_that_is_not_relative_has_its_unit_and_an_effect_without_verdic
     result = result_of(found, ())
     unknown = [e.name for e in result.effects if None in (e.before, e.after)]
     assert unknown == ["advance-ratio"]
-    assert "not compared" in effect_words(result.effects[1])
+    assert "not compared" in effect_words(result.effects[1], result)
     table = next(t for t in campaign_tables(result) if "Effects" in str(t.title))
-    assert str(table.caption).startswith("Not compared: no parameter of the effect could be tested")
-    assert effects_caption(msgspec.structs.replace(result, effects=result.effects[:1])) == ""
+    assert " Not compared: no parameter of the effect could be tested" in str(table.caption)
+    present = msgspec.structs.replace(result.effects[0], before=True)
+    assert effects_caption(msgspec.structs.replace(result, effects=(present,))) == ""
 
 
 def test_a_model_without_common_errors_has_a_note() -> None:
@@ -1024,10 +1026,63 @@ def test_better_prediction_without_a_changed_parameter_is_told_with_the_nearest_
     assert not any(p.changed for p in found.parameters)
     own = CampaignErrors(logs="after", values="after", channels={}, ratio=0.85, low=0.8, high=0.9, verdict=verdict)
     answer = campaigns_answer(result_of(found, (own,)))
-    words = (
-        "So something has changed that these logs do not assign to a parameter. The smallest p value: d_uu +9 % (95 %: "
+    assert ("So something has changed that these logs do not assign to a parameter. " in answer) is told
+    assert answer.count("Nearest to a change") <= 1
+    assert ("d_uu +9 % (95 %: " in answer) or not told
+
+
+def nearly_changed(q: float) -> CampaignsResult:
+    """Return a result in which the drag has not changed by a q value, and its coefficient is known less well."""
+    found = compared(damped_rows(np.random.default_rng(3), 3, 1.4), 3)
+    drag = next(c for c in found.combinations if "d_uu" in c.parameters)
+    rest = [msgspec.structs.replace(p, q=0.6, p=0.5, changed=False) for p in found.parameters]
+    rest = [
+        msgspec.structs.replace(p, q=q, p=0.01, low=-1e3, high=1e3, relative=0.9) if p.name == "d_uu" else p
+        for p in rest
+    ]
+    near = msgspec.structs.replace(drag, q=q * 1.2, p=0.012, changed=False)
+    return msgspec.structs.replace(result_of(found), parameters=tuple(rest), combinations=(near,))
+
+
+@pytest.mark.parametrize(("q", "first"), [(0.05012, True), (0.15, True), (0.3, False)])
+def test_a_difference_near_to_a_change_begins_the_answer(q: float, first: bool) -> None:
+    """The answer said that nothing has changed, above a row with drag ahead +55 % and q = 0.050."""
+    result = nearly_changed(q)
+    answer = campaigns_answer(result)
+    words = "Nearest to a change, but not significant after the correction for "
+    assert answer.startswith(words) is first
+    assert (f": {result.combinations[0].meaning} +" in answer) is first  # known better than its coefficient
+    assert "None of " in answer
+
+
+def test_q_values_show_on_which_side_of_the_rate_they_are() -> None:
+    assert [q_beside(q, 0.05) for q in (0.05012, 0.0500001, 0.04999, 0.05, 0.0949)] == [
+        "0.0501", "0.0500001", "0.05", "0.05", "0.095",
+    ]  # fmt: skip
+    assert [probability(q, 0.05) for q in (0.05012, 0.04996, 0.05, None)] == ["0.0501", "0.050", "0.050", "–"]
+    result = nearly_changed(0.05012)
+    assert any("0.0501" in str(cell._cells) for t in campaign_tables(result) for cell in t.columns)
+
+
+def test_an_effect_that_is_not_significant_has_its_size_and_the_errors_that_are_needed() -> None:
+    """Without an effect, w_x is 0.5 and not zero: its distance from zero says nothing."""
+    rng = np.random.default_rng(2)
+    values = {"F_wx": 0.6 + 0.5 * rng.normal(size=6), "w_x": 0.5 + 0.02 * rng.normal(size=6)}
+    result = result_of(compared(rows_of(values, 0.02, effect=dict.fromkeys(values, "wind"), unit={"F_wx": "N"}), 3))
+    (wind,) = result.effects
+    assert (wind.before, wind.after) == (False, False)
+    assert wind.evidence_before is not None
+    assert wind.evidence_before.distance < wind.evidence_before.needed
+    assert re.fullmatch(r"not significant: \S+ \S+ ± \S+( N)? \(\d\.\d of \d+\.\d\)", effect_words(wind, result)[1])
+    assert effects_caption(result).startswith("Not significant: the logs of this campaign alone")
+
+
+def test_logs_that_scatter_point_to_the_test_that_names_them() -> None:
+    values = {"d_uu": np.array([10.0, 20.0, 12.0, 21.0, 11.0, 19.0])}
+    assert "`seatrial ident vehicle LOGS --test-homogeneity d_uu`" in campaigns_answer(
+        result_of(compared(rows_of(values, 0.3), 3))
     )
-    assert (words in answer) is told
+    assert "--test-homogeneity" not in campaigns_answer(result_of(compared(rows_of(values, 9.0), 3)))
 
 
 def result_of(found: Comparison, errors: tuple[CampaignErrors, ...] = ()) -> CampaignsResult:

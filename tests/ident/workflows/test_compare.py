@@ -42,7 +42,14 @@ from seatrial.ident.report.formatting import with_error
 from seatrial.ident.report.page import render
 from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, overlay_panels
 from seatrial.ident.report.terminal import SHOWN_NOTES, compared_tables
-from seatrial.ident.results import OTHER_SURROUNDINGS, ComparisonResult, CourseStability, LogScore, VehicleResult
+from seatrial.ident.results import (
+    OTHER_SURROUNDINGS,
+    SIZE_NOT_SIGNIFICANT,
+    ComparisonResult,
+    CourseStability,
+    LogScore,
+    VehicleResult,
+)
 from seatrial.ident.results.parts import CommonErrorsRow
 from seatrial.ident.results.result_file import read_result
 from seatrial.ident.validation import prediction_errors
@@ -60,6 +67,7 @@ from seatrial.ident.workflows.compare import (
     with_equal_averages,
 )
 from seatrial.ident.workflows.compared_predictions import ONE_STEP, SIMULATION, Curve, PredictedRecord
+from seatrial.ident.workflows.compared_sizes import size_notes
 from seatrial.ident.workflows.compared_surroundings import surroundings_notes
 from seatrial.ident.workflows.comparison_errors import (
     at_common_samples,
@@ -483,7 +491,7 @@ def test_headings_of_a_simulation_are_continuous_beside_the_samples(compared: Co
         good = np.isfinite(y)
         assert good.sum() > 100
         np.testing.assert_allclose(y[good], np.interp(x[good], row.t, turning) + away, atol=0.01)
-    assert panel.y["dtick"] == 360.0
+    assert panel.y["dtick"] == 720.0  # at most six ticks
 
 
 def test_more_models_than_fit_into_a_row_get_several_tables(compared: ComparisonResult) -> None:
@@ -781,7 +789,8 @@ def test_answer_without_a_significant_difference(compared: ComparisonResult) -> 
     same = msgspec.structs.replace(change.against_reference, ratio=0.98, low=0.9, high=1.1, verdict="indistinguishable")
     again = msgspec.structs.replace(second, changes=(msgspec.structs.replace(change, against_reference=same),))
     assert comparison_answer(msgspec.structs.replace(compared, models=(first, again))) == (
-        "No model is significantly better than (a) good 2 s ahead. The error of (b) over all channels is 2 % smaller "
+        f"No clear difference between (a) good and (b) {second.name} 2 s ahead. The error of (b) over all channels is "
+        "2 % smaller "
         "than that of (a) (95 %: −10 to +10 %)."
     )
     poor = msgspec.structs.replace(same, ratio=4.384, low=2.9, high=6.6, verdict="worse")
@@ -802,6 +811,22 @@ def test_answer_without_a_significant_difference(compared: ComparisonResult) -> 
     assert comparison_answer(msgspec.structs.replace(compared, models=(first, unlike))).startswith(
         "The logs have no prediction"
     )
+
+
+@pytest.mark.parametrize(("size", "told"), [(1.5, True), (4.0, False)])
+def test_effects_whose_size_is_not_significant_are_named(size: float, told: bool) -> None:
+    """The smaller error of a model with a wind of 1.5 standard errors looked as if the boat had it."""
+    wind, plain = catalogue()["wind"], horizontal_model()
+    own = tuple(replace(p, value=0.5 * size) if p.name == "F_wx" else p for p in wind.parameters)
+    windy = replace(plain, parameters=(*plain.parameters, *own), effects=(wind,))
+    errors = {p.name: 0.5 for p in own}
+    saved = [cast(SavedModel, SimpleNamespace(model=m, errors=errors)) for m in (plain, windy)]
+    notes = size_notes(dict(zip("ab", saved, strict=True)))
+    assert bool(notes) is told
+    assert not size_notes({"a": saved[1], "b": saved[1]})  # both have it
+    if told:
+        assert notes[0].startswith(f"{SIZE_NOT_SIGNIFICANT}: (b) wind (F_wx 0.75 ± 0.50 N). ")
+        assert SIZE_NOT_SIGNIFICANT in SHOWN_NOTES
 
 
 @pytest.mark.parametrize(("as_good", "words"), [((("b", "c"), ("c", "b")), "(b) second"), ((("b", "c"), ("c",)), "")])

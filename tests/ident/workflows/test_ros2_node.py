@@ -353,10 +353,10 @@ def test_the_integral_of_the_heading_rests_at_the_limit_and_is_bounded(node: Any
     run(node, ros, scenario)
 
 
-def test_states_by_gnss_are_those_of_the_boat(node: Any, ros: Ros, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_states_by_gnss_are_those_of_the_boat(node: Any, ros: Ros) -> None:
     """In a turn the antenna ahead of and beside the centre of gravity has other speeds than the boat."""
-    monkeypatch.setattr(node, "ANTENNA", (0.4, -0.3))
     ros.parameters["sensors"], ros.antenna = "gnss", (0.4, -0.3)
+    ros.parameters["antenna"] = [0.4, -0.3]
 
     def scenario() -> None:
         ros.sail(20.0)
@@ -370,6 +370,15 @@ def test_states_by_gnss_are_those_of_the_boat(node: Any, ros: Ros, monkeypatch: 
 
     run(node, ros, scenario)
     assert not ros.errors[:-1]
+
+
+@pytest.mark.parametrize("antenna", [[0.3], [0.3, math.nan]])
+def test_invalid_antenna_is_refused(node: Any, ros: Ros, antenna: list[float]) -> None:
+    ros.parameters["antenna"] = antenna
+    with pytest.raises(
+        ValueError, match=r"the parameter antenna is \[0\.3.*; it must be \[forward, to starboard\] in m"
+    ):
+        run(node, ros, lambda: None)
 
 
 def test_unknown_sensors_are_refused(node: Any, ros: Ros) -> None:
