@@ -593,9 +593,11 @@ class LinearModel:
         """Return the linear quadratic regulator (LQR) of the model, with the weights of its states by name.
 
         The feedback minimises the integral of ``sum of Q e^2 + sum of R (u - u0)^2`` over time, with the errors ``e``
-        of the states. The dead time of the inputs is not part of the design: choose poles that are slow beside it.
-        If the rates depend on the heading, as by wind, `by_heading` is part of the design. The inputs ``u0`` then hold
-        the course at one heading alone. A `SeatrialWarning` says so if that heading was not chosen (``at``).
+        of the states. States that no input changes, such as those of waves, are no part of the feedback: nobody
+        measures them, and the other gains do not depend on them. The dead time of the inputs is not part of the design:
+        choose poles that are slow beside it. If the rates depend on the heading, as by wind, `by_heading` is part of
+        the design. The inputs ``u0`` then hold the course at one heading alone. A `SeatrialWarning` says so if that
+        heading was not chosen (``at``).
 
         Parameters
         ----------

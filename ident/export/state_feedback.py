@@ -277,6 +277,8 @@ def lqr(
 ) -> StateFeedback:
     """Return the linear quadratic regulator of a linear system, with weights of states and inputs by name.
 
+    States that no input changes, such as those of waves, are left out.
+
     A `SeatrialWarning` is issued if the heading is controlled, and the rates depend on it, and nobody chose its value.
     Another one is issued if an input of the operating point is near the limit, and one if a limit that was given
     leaves the data of the fit. The limit, weights that are missing, the heading and the errors are those of
@@ -301,14 +303,17 @@ def lqr(
             raise SeatrialError(
                 f"the weight of {name} is {value:g}: give a number " + ("of at least 0" if name in Q else "above 0")
             )
-    n, m = linear.B.shape
-    steered = Q.get(HEADING, 0.0) > 0.0 and HEADING not in linear.states
-    states = (*linear.states, *((HEADING,) if steered else ()))
+    kept = _influenced(linear)
+    used = tuple(name for name, k in zip(linear.states, kept, strict=True) if k)
+    if idle := [name for name in linear.states if name not in used and Q.get(name, 0.0) > 0.0]:
+        raise SeatrialError(f"the weight of {idle[0]}: no input changes this state; the states are {', '.join(used)}")
+    (n, m), steered = linear.B[kept].shape, Q.get(HEADING, 0.0) > 0.0 and HEADING not in linear.states
+    states = (*used, *((HEADING,) if steered else ()))
     A, B = np.zeros((len(states), len(states))), np.zeros((len(states), m))
-    A[:n, :n], B[:n] = linear.A, linear.B
+    A[:n, :n], B[:n] = linear.A[np.ix_(kept, kept)], linear.B[kept]
     if steered:
-        A[n, linear.states.index("r")] = 1.0
-        A[:n, n] = linear.by_heading
+        A[n, used.index("r")] = 1.0
+        A[:n, n] = linear.by_heading[kept]
         if HEADING in linear.assumed:
             at = conditions_text({HEADING: linear.conditions[HEADING]})
             warn(
@@ -335,9 +340,22 @@ def lqr(
     if not (poles.real < 0.0).all():
         raise SeatrialError(failure)
     poles = poles[np.argsort(np.abs(poles.real), kind="stable")]
-    x0 = np.append(linear.x0, np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
+    x0 = np.append(linear.x0[kept], np.full(len(states) - n, linear.conditions.get(HEADING, 0.0)))
     units = {**linear.units, **({HEADING: "rad"} if steered else {})}
+    units = {name: units[name] for name in (*states, *linear.inputs)}
     return StateFeedback(states, linear.inputs, gain, x0, linear.u0, poles, units, low, high)
+
+
+def _influenced(linear: LinearSystem) -> NDArray[np.bool_]:
+    """Return which states (n,) an input changes, directly or through other states.
+
+    The others are those of disturbances, such as waves. Nobody measures them, and the gains of the other states do not
+    depend on them.
+    """
+    found = (linear.B != 0.0).any(axis=1)
+    for _ in linear.states:
+        found = found | (linear.A[:, found] != 0.0).any(axis=1)
+    return np.asarray(found)
 
 
 def _is_share_of_full(name: str) -> bool:

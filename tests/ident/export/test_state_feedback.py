@@ -48,6 +48,23 @@ def test_gain_is_that_of_the_riccati_equation(linear: LinearModel) -> None:
     assert linear.inputs[1] in repr(found)
 
 
+def test_states_of_waves_are_no_part_of_the_feedback() -> None:
+    """No input changes them, nobody measures them, and the other gains are the same without them."""
+    model = horizontal_model("shaft")
+    model = model.with_values({n: v for n, v in VALUES.items() if n in model.values})
+    waves = catalogue()["waves"]
+    calm, rough = linearise(model, 0.7), linearise(model + waves, 0.7)
+    assert len(rough.states) > len(calm.states)
+    found, expected = rough.lqr(Q), calm.lqr(Q)
+    assert found.states == expected.states
+    assert set(found.units) == {*found.states, *found.inputs}
+    for name in ("gain", "x0", "u0", "poles"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-6, atol=1e-12)
+    state = next(s for s in rough.states if s not in calm.states)
+    with pytest.raises(SeatrialError, match=rf"the weight of {state}: no input changes this state; .* u, v, r$"):
+        rough.lqr({**Q, state: 1.0})
+
+
 def test_an_operating_point_near_the_limit_gives_a_warning(linear: LinearModel) -> None:
     """The feedback then has too little room to steer. Forces have no limit that the model knows."""
     steady = float(np.abs(linear.u0).max())
