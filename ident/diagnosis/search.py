@@ -105,6 +105,7 @@ from seatrial.ident.estimation import (
     unexcited_motion,
     validated_in_blocks,
     validation_records,
+    wave_sizes,
     with_all_candidates,
     without_absent_sensors,
     without_unknown_noise,
@@ -299,20 +300,17 @@ def diagnose(
         policy=search.policy,
         common_errors=search.common_errors,
         rejected_common_errors=search.rejected_common_errors,
-        untried_waves=_untried_waves(search, WAVES in start.candidates, current),
+        untried_waves=_untried_waves(search, current),
         own_effects=tuple(name for name in effects or () if name not in catalogue()),
     )
 
 
-def _untried_waves(search: _Search, requested: bool, current: FittedModel) -> float | None:
+def _untried_waves(search: _Search, current: FittedModel) -> float | None:
     """Return the frequency [Hz] of the waves that the innovations of the last model show and the search did not try.
 
-    None if the innovations have no significant spectral peak, if waves were not requested, or if the model has no
-    common errors, so that waves were a candidate.
+    None if the innovations have no significant spectral peak, or if waves were a candidate or not requested.
     """
-    if search.common_errors is None or not requested:
-        return None
-    score = wave_peak_score(current, search.policy)
+    score = None if search.waves is None else wave_peak_score(current, search.policy)
     return None if score is None else score.scan["f_wave"]
 
 
@@ -776,6 +774,8 @@ class _Search:
         Scores that passed when the largest number of effects had been added, and were not tried.
     removed
         Effects that were added and removed again.
+    waves
+        Wave forces, if they may become a candidate beside the common errors (`_refit_waves_beside`); else None.
     n
         Number of rows of the estimation data.
     work
@@ -803,6 +803,7 @@ class _Search:
         self.nominal: FittedModel | None = None
         self.scores: list[Score] = []  # of all candidates on the last model
         self.untried: list[Score] = []  # scores that passed when the largest number of effects had been added
+        self.waves: Effect | None = None
         self.removed: list[RemovedEffect] = []  # by the backward eliminations so far
         self._tested: list[_TestedModel] = []
         self._possible_rounds = 1  # with the present one
@@ -1128,9 +1129,10 @@ class _Search:
         """Continue the search with a model that has the common errors.
 
         The fit ``found`` is stored in ``common_errors``, and ``common`` becomes empty, so that no others are added. The
-        effects of ``found``, nested ones and waves are removed from ``candidates``. From now on an added effect has to
-        change the prediction by more than before (``policy.min_error_ratio_beside``, and
-        ``policy.min_identified_ratio_beside`` to be identified). The function fits nothing.
+        effects of ``found``, nested ones and waves are removed from ``candidates``; the attribute ``waves`` has the
+        waves. From now on an added effect has to change the prediction by more than before
+        (``policy.min_error_ratio_beside``, and ``policy.min_identified_ratio_beside`` to be identified). The function
+        fits nothing.
         """
         self.common_errors, self.common = found, {}
         beside = self.policy.min_error_ratio_beside
@@ -1141,7 +1143,8 @@ class _Search:
             min_identified_ratio=self.policy.min_identified_ratio_beside,
         )
         # Waves shake every boat, are not correlated with its inputs, and the prediction is as good without them.
-        for name in (*(e.name for e in found.effects), *nested_in(self.candidates, found.effects), WAVES):
+        self.waves = self.candidates.pop(WAVES, None)
+        for name in (*(e.name for e in found.effects), *nested_in(self.candidates, found.effects)):
             self.candidates.pop(name, None)
 
     @property
@@ -1415,6 +1418,7 @@ class _Search:
             self._refit_all(current, [(self.candidates[s.name], s) for s in further], refits, untested)
             if any(is_accepted(r, self.policy) for r in refits):
                 break
+        self._refit_waves_beside(current, refits, untested)
         leading = max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
         most, curve = (-np.inf, None) if leading is None else (leading.criterion, leading.effect.parametric_form_of)
         # A nonparametric candidate competes only if its score is high compared with the best accepted parametric
@@ -1595,6 +1599,28 @@ class _Search:
                 larger, null = larger + effect, [*null, effect]
         if len(larger.effects) > len(model.effects) + 1 and not any(m.contains(larger) for m in self.larger_models):
             self.larger_models.append(LargerModel(larger, frozenset(e.name for e in null)))
+
+    def _refit_waves_beside(self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]) -> None:
+        """Refit the model with waves if the best refit of a round is an oscillating mass with a parameter at its bound.
+
+        Beside the common errors, waves are no candidate (`keep_common_errors`). A mass that oscillates without damping
+        then takes the place of waves, which it resembles. The waves begin at its frequency. If they explain more, the
+        mass is no candidate any more: it would take the place of other waves beside them.
+        """
+        best = max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
+        if self.waves is None or best is None or WAVES not in best.effect.alternatives:
+            return
+        fit, own = best.fitted.fit, {p.name for p in best.effect.parameters}
+        frequency = next((fit.estimate(p.name)[0] for p in best.effect.parameters if p.unit == "Hz"), None)
+        if frequency is None or not any(flag == AT_BOUND and name in own for name, flag in fit.flags):
+            return
+        waves, self.waves = self.waves, None
+        self.candidates[WAVES] = waves
+        df, lm = len(waves.parameters), max(best.gain, 0.0)
+        score = Score(WAVES, lm, df, lm, wave_sizes(current.fit.model), {"f_wave": frequency})
+        self._refit_all(current, [(waves, score)], refits, untested)
+        if any(r.effect.name == WAVES and r.criterion > best.criterion for r in refits):
+            self.candidates.pop(best.effect.name, None)
 
     def _refit_all(
         self,

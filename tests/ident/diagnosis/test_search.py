@@ -33,6 +33,7 @@ from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.diagnosis.search import _Search, _with_initial_values, diagnose, evaluate_diagnosis
 from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation import AT_BOUND
 from seatrial.ident.estimation.fitted_model import FittedModel, validated_in_blocks
 from seatrial.ident.estimation.homogeneity import BETWEEN, ParameterShift
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
@@ -393,17 +394,49 @@ def test_waves_that_were_not_tried_are_named() -> None:
     assert any(words in note for note in _notes(with_effect, GivenModel("model.toml")))
 
 
-@pytest.mark.parametrize(
-    ("common", "requested", "frequency"), [(True, True, 0.5), (True, False, None), (False, True, None)]
-)
-def test_waves_are_looked_for_beside_common_errors_only(
-    common: bool, requested: bool, frequency: float | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without common errors waves are a candidate of the search itself."""
+@pytest.mark.parametrize("possible", [True, False])
+def test_waves_are_looked_for_if_they_were_no_candidate(possible: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without common errors, or if the search has tried them beside these, waves are a candidate of the search."""
     peak = Score("waves", 90.0, 5, 90.0, {}, {"f_wave": 0.5})
     monkeypatch.setattr(search, "wave_peak_score", lambda fitted, policy: peak)
-    state: Any = SimpleNamespace(common_errors=object() if common else None, policy=DEFAULT_POLICY)
-    assert search._untried_waves(state, requested, blank()) == frequency
+    state: Any = SimpleNamespace(waves=object() if possible else None, policy=DEFAULT_POLICY)
+    assert search._untried_waves(state, blank()) == (0.5 if possible else None)
+
+
+@pytest.mark.parametrize(
+    ("name", "flagged", "waves_gain", "tried", "kept"),
+    [
+        ("sway-slosh", "zeta_s", 90.0, True, False),
+        ("sway-slosh", "zeta_s", 40.0, True, True),  # waves explain less than the mass
+        ("sway-slosh", "m_u", 90.0, False, True),
+        ("sway-slosh", "", 90.0, False, True),
+        ("yaw-bias", "N_0", 90.0, False, True),
+    ],
+)
+def test_a_mass_that_oscillates_without_damping_is_compared_with_waves(
+    name: str, flagged: str, waves_gain: float, tried: bool, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside the common errors waves are no candidate, and such a mass takes their place."""
+    known = catalogue()
+    mine = a_search(known[name])
+    mine.waves = known["waves"]
+    fit: Any = SimpleNamespace(flags=((flagged, AT_BOUND),) if flagged else (), estimate=lambda _: (0.51, 0.01))
+    best = replace(refit(name, 50.0), effect=known[name], fitted=blank(fit=fit))
+    begun: list[Score] = []
+
+    def refit_all(_self: Any, _current: Any, pairs: Any, refits: list[Refit], _untested: Any) -> None:
+        begun.extend(score for _, score in pairs)
+        refits.extend(replace(refit("waves", waves_gain), effect=effect) for effect, _ in pairs)
+
+    monkeypatch.setattr(_Search, "_refit_all", refit_all)
+    refits = [best, refit("mismatch", 20.0)]
+    mine._refit_waves_beside(fitted_boat(), refits, [])
+    assert [s.scan for s in begun] == [{"f_wave": 0.51}] * tried
+    assert (name in mine.candidates) is kept
+    assert ("waves" in mine.candidates) is (mine.waves is None) is tried
+    if tried:  # and only once
+        mine._refit_waves_beside(fitted_boat(), refits, [])
+        assert len(begun) == 1
 
 
 def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
