@@ -73,12 +73,29 @@ def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
     np.testing.assert_allclose(numbers(speed["y"]), np.where(y < 0.61, y, np.nan), atol=1e-3)
     np.testing.assert_allclose(numbers(beyond["y"]), np.where(y > 0.59, y, np.nan), atol=1e-3)
     assert beyond["line"]["dash"] == "dot"
+    assert "dashed: the boat leaves the course" not in shown.words
     assert "dotted: beyond the speeds of 98 % of the data" in shown.words
     assert np.nanmax(numbers(band["y"])) == pytest.approx(1.0 + 0.196, abs=1e-3)
     place = next(a for _, a in shown.tags if str(a.get("aria-label")).startswith("Steady turn rate"))
     assert np.nanmax(numbers(shown.figures()[str(place["id"])]["data"][1]["y"])) == pytest.approx(
         np.degrees(0.5), abs=0.01
     )
+
+
+def test_speeds_at_which_the_boat_leaves_its_course_are_dashed() -> None:
+    found = dynamics()
+    n = found.steady[0].command
+    straight = msgspec.structs.replace(found.steady[0], difference=0.0 * n, growth=n - 0.2)
+    found = msgspec.structs.replace(found, steady=(straight, found.steady[1]))
+    own = Page(page.render(msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=found)))
+    place = next(a for _, a in own.tags if a.get("aria-label") == "Steady speed against shaft speed")
+    _, speed, unstable, beyond = own.figures()[str(place["id"])]["data"]
+    y = np.linspace(-1.0, 1.0, 81)
+    np.testing.assert_array_equal(np.isfinite(numbers(speed["y"])), y < 0.41)
+    np.testing.assert_array_equal(np.isfinite(numbers(unstable["y"])), (y > 0.39) & (y < 0.61))
+    np.testing.assert_array_equal(np.isfinite(numbers(beyond["y"])), y > 0.59)
+    assert [unstable["line"]["dash"], beyond["line"]["dash"]] == ["dash", "dot"]
+    assert "dashed: the boat leaves the course without a controller" in own.words
 
 
 def test_turn_rates_beyond_the_data_are_marked() -> None:
