@@ -103,6 +103,7 @@ from seatrial.ident.validation import PredictionEvaluation
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 USABLE_ERROR = 0.05  # of the range of force or shaft speed, up to which the thrust curve of a bench can be used
+SIGNIFICANT = 2.0  # standard errors from which a value of a curve differs from zero
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 MOST_NEAREST = 2  # effects that are named if none was added
@@ -190,13 +191,22 @@ def diagnosis_result(
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = of_judging_data(_worse_simulation_sentence(errors) if diagnosis.effects else "", in_blocks)
     late = late_command_sentence(made) if bench else ""
-    usable = ""
-    if bench and not diagnosis.effects:
-        usable = _usable_thrust_sentence(errors, _measured_ranges(after), doubted=bool(diagnosis.rounds))
+    before_answer, after_answer = "", ""
+    if bench and diagnosis.effects:
+        doubted = bool(diagnosis.remaining)
+        after_answer = _usable_thrust_sentence(errors, _measured_ranges(after), doubted=doubted, with_effects=True)
+    elif bench:
+        before_answer = _usable_thrust_sentence(errors, _measured_ranges(after), doubted=bool(diagnosis.rounds))
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
-        + (failed or late + " ".join(filter(None, [usable, answer, worse, straight_sentence(dynamics), course, wind]))),
+        + (
+            failed
+            or late
+            + " ".join(
+                filter(None, [before_answer, answer, after_answer, worse, straight_sentence(dynamics), course, wind])
+            )
+        ),
         caveat=None if failed else of_judging_data(diagnosis_caveat(diagnosis, bench=bench), in_blocks),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
@@ -385,12 +395,15 @@ def _measured_ranges(evaluation: PredictionEvaluation) -> dict[str, float]:
     return found
 
 
-def _usable_thrust_sentence(errors: parts.Errors, ranges: Mapping[str, float], *, doubted: bool) -> str:
+def _usable_thrust_sentence(
+    errors: parts.Errors, ranges: Mapping[str, float], *, doubted: bool, with_effects: bool = False
+) -> str:
     """Return the sentence that a bench model predicts force and shaft speed well enough to use its thrust curve.
 
     The errors are those of the simulation from the command, or over the horizon without one, relative to ``ranges``
     (`_measured_ranges`). The text is empty if the force or one of the errors is unknown, or if one of them is more than
     5 % of its range. If the score tests ``doubted`` the model, a clause says that their findings are in these errors.
+    ``with_effects``: whether effects were added, with which the model has these errors.
     """
     data = errors.estimation if errors.validation is None else errors.validation
     table, how = (data.simulation, "from the command alone") if data.simulation else (data.horizon, "over the horizon")
@@ -405,7 +418,8 @@ def _usable_thrust_sentence(errors: parts.Errors, ranges: Mapping[str, float], *
         return ""
     small = f"within {'these small errors' if len(found) > 1 else 'this small error'}"
     rest = f" What the score tests find is {small}." if doubted else ""
-    return f"The model predicts {' and '.join(found)} {how}: the thrust curve can be used.{rest}"
+    model, its = ("The model with the added effects", "its") if with_effects else ("The model", "the")
+    return f"{model} predicts {' and '.join(found)} {how}: {its} thrust curve can be used.{rest}"
 
 
 def _worse_simulation_sentence(errors: parts.Errors) -> str:
@@ -456,7 +470,8 @@ def _missing_effects_sentence(
     that of a thruster on a bench. ``again``: command of a diagnosis of all logs together; it may be empty.
     """
     if diagnosis.effects:
-        return f"{what_is_lacking(diagnosis, fell=_fell_enough(diagnosis, prediction))}."
+        lacking = f"{what_is_lacking(diagnosis, fell=_fell_enough(diagnosis, prediction))}."
+        return " ".join(filter(None, [lacking, _curves_near_zero_sentence(diagnosis)]))
     if diagnosis.mismatches:
         quiet = (
             ""
@@ -902,8 +917,10 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     Identified effects come first, then an ambiguous effect as "an effect that resembles ...", several of them as a list
     ("effects that resemble: A; B"), then nonparametric effects. After an ambiguous effect, the text names the best of
     the effects that explain the data as well ("A or, nearly as well, B").
-    Nonparametric effects come first if the most important effect is nonparametric. If ambiguous effects come first, the
-    text begins with "The missing effect resembles ...". The diagnosis must have at least one effect.
+    Nonparametric effects come first if the most important effect is nonparametric. A curve of which no value differs
+    significantly from zero is left out, unless there is no other effect (`_curves_near_zero_sentence`). If ambiguous
+    effects come first, the text begins with "The missing effect resembles ...".
+    The diagnosis must have at least one effect.
 
     Parameters
     ----------
@@ -914,7 +931,11 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         the text is "The missing effect resembles ...", because a better prediction is the only evidence for a curve.
     """
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
-    for r, judged in zip(diagnosis.effects, diagnosis.attributions, strict=True):
+    zero = {e.name for e in _curves_near_zero(diagnosis)}
+    named = [
+        (r, j) for r, j in zip(diagnosis.effects, diagnosis.attributions, strict=True) if r.effect.name not in zero
+    ]
+    for r, judged in named or zip(diagnosis.effects, diagnosis.attributions, strict=True):
         words = in_words(r.effect, diagnosis.after)
         if _is_size_undetermined(r.effect, diagnosis):
             words = "its size is not determined"
@@ -922,7 +943,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         equals = _equal_rivals(judged, diagnosis) if judged.attribution == "ambiguous" else []
         titles[judged.attribution].append(" or, nearly as well, ".join([title, *equals[:1]]))
     identified, ambiguous, nonparametric = titles.values()
-    if nonparametric and diagnosis.attributions[0].attribution == "nonparametric":
+    first = named[0][1] if named else diagnosis.attributions[0]
+    if nonparametric and first.attribution == "nonparametric":
         found = f"The model lacks {_joined_titles(nonparametric)}" if fell else _resemblance_clause(nonparametric)
         rest = [*identified, *(f"an effect that resembles {title}" for title in ambiguous)]
         return f"{found}, and also {_joined_titles(rest)}" if rest else found
@@ -934,6 +956,37 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         found = _resemblance_clause(ambiguous)
     comma = ";" if len(ambiguous) > 1 else ","  # after a list whose items are separated by semicolons
     return f"{found}{comma} and also {_joined_titles(nonparametric)}" if nonparametric else found
+
+
+def _curves_near_zero(diagnosis: Diagnosis) -> list[Effect]:
+    """Return the added nonparametric effects of which no value is larger than two standard errors.
+
+    The standard errors include the shifts by other candidates that may be missing, as those of the report do.
+    """
+    found = []
+    for r in diagnosis.effects:
+        sizes = [p for p in r.effect.parameters if p.free and p.value == 0.0]
+        if r.effect.kind is EffectKind.NONPARAMETRIC and sizes:
+            values = (diagnosis.after.fit.estimate(p.name) for p in sizes)
+            if all(isfinite(se) and abs(value) < SIGNIFICANT * se for value, se in values):
+                found.append(r.effect)
+    return found
+
+
+def _curves_near_zero_sentence(diagnosis: Diagnosis) -> str:
+    """Return the sentence on the curves that `what_is_lacking` leaves out; empty without any."""
+    curves = _curves_near_zero(diagnosis)
+    if not curves:
+        return ""
+    titles, one = _joined_titles([e.title for e in curves]), len(curves) == 1
+    subject = "none of its values differs" if one else "none of their values differs"
+    kept = ""
+    for w in diagnosis.importances:
+        if one and w.effect == curves[0].name and w.prediction is not None and w.prediction.verdict == "fell":
+            kept = f", although the prediction error is {100.0 * (1.0 - w.prediction.ratio):.2g} % smaller with it"
+    if len(curves) == len(diagnosis.effects):
+        return f"But {subject} significantly from zero{kept}: it is not known what is missing."
+    return f"The model also has {titles}, but {subject} significantly from zero{kept}."
 
 
 def _equal_rivals(judged: EffectAttribution, diagnosis: Diagnosis) -> list[str]:

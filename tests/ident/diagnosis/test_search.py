@@ -295,6 +295,29 @@ def test_headline_lists_several_ambiguous_effects_as_several(first: str) -> None
     assert what_is_lacking(found, fell=True) == f"{begin} that resemble: {listed}"
 
 
+@pytest.mark.parametrize(("value", "named"), [(0.6, False), (2.5, True)])
+@pytest.mark.parametrize("first", [True, False])
+def test_curve_without_a_significant_value_is_not_in_the_headline(value: float, named: bool, first: bool) -> None:
+    """All values of a curve were within 0.6 standard errors of zero, and the headline said that the model lacks it."""
+    own = tuple(Parameter(f"g_{k}", 0.0, "N", "a value of the curve") for k in range(2))
+    curve = Effect("unknown X(u)", "a curve of u", {}, parameters=own, kind=EffectKind.NONPARAMETRIC)
+    lag = Effect("cell-lag", "a lag", {})
+    chosen = [Refit(e, blank(), 90.0, 1, 82.0, 30.0, 4.0) for e in ((curve, lag) if first else (lag, curve))]
+    judged = {n: EffectAttribution(n, k) for n, k in ((curve.name, "nonparametric"), (lag.name, "ambiguous"))}  # type: ignore[arg-type]
+    fit = blank(flags=(), estimate=lambda _, name: (0.1 if name == "g_0" else -value, 1.0))
+    found = Diagnosis(
+        blank(), blank(fit=fit), tuple(Round((), (), (c,), c) for c in chosen), (), (),
+        tuple(judged[c.effect.name] for c in chosen),
+        tuple(EffectImportance(c.effect.name, 90.0, 1.3, 41.2, 5.34) for c in chosen),
+    )  # fmt: skip
+    said = what_is_lacking(found, fell=True)
+    assert ("a curve of u" in said) is named
+    assert "a lag" in said
+    answer = diagnosis_answer(found, None, 10.0)
+    beside = "The model also has a curve of u, but none of its values differs significantly from zero"
+    assert (beside in answer) is not named
+
+
 @pytest.mark.parametrize(("criterion", "named"), [(80.0, True), (70.0, False)])
 def test_headline_names_the_rival_that_explains_the_data_as_well(criterion: float, named: bool) -> None:
     chosen, rival, curve = (
