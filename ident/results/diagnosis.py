@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -104,6 +105,7 @@ from seatrial.ident.validation import PredictionEvaluation
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 USABLE_ERROR = 0.05  # of the range of force or shaft speed, up to which the thrust curve of a bench can be used
 SIGNIFICANT = 2.0  # standard errors from which a value of a curve differs from zero
+OPEN_BELOW = 0.95  # ratio of the errors that matters: an interval that reaches below it leaves open if they fell
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 MOST_NEAREST = 2  # effects that are named if none was added
@@ -353,6 +355,10 @@ def diagnosis_answer(
         if prediction.verdict == "unchanged" and (reason := _likelihood_sentence(diagnosis, prediction.role)):
             sentences.append(reason)
         sentences.append(change_sentence(prediction, horizon, diagnosis.cross_validated))
+        # An interval without a material improvement decides: the prediction is as good without the effects.
+        is_open = prediction.verdict == "unchanged" and prediction.low is not None and prediction.low < OPEN_BELOW
+        if is_open and not diagnosis.cross_validated:
+            sentences.append(_undecided_sentence(diagnosis, again, bench))
     if diagnosis.cross_validated:
         sentences.append(
             "Without --validate, the model is validated by blocked cross-validation: each block of time of the "
@@ -609,6 +615,22 @@ def _all_logs_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
     )
 
 
+def _undecided_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
+    """Return the verdict and the next step if the validation logs do not decide whether the prediction is better.
+
+    ``again`` is the command of a diagnosis of all logs together, which may be empty. ``bench``: whether the model is
+    that of a thruster on a bench.
+    """
+    one = len(diagnosis.effects) == 1
+    effects, do, they, them = ("effect", "is", "it", "it") if one else ("effects", "are", "they", "them")
+    command = f": `{again}`" if again else ""
+    return (
+        f"So the {effects} {do} found in the data, but these validation logs are too few to decide if {they} "
+        f"improve{'s' * one} the prediction. Next, diagnose all logs of {'this thruster' if bench else 'the boat'} "
+        f"together, without --validate{command}. Each block of time is then predicted with and without {them}."
+    )
+
+
 def _two_velocities_sentence(name: str) -> str:
     """Return the sentence on the meaning of a force of two velocities that is left unexplained; "" for others.
 
@@ -632,8 +654,11 @@ def command_without_validation(command: str) -> str:
     -------
     str
         The command with the logs of ``--validate`` as further logs, and the folder ``--out`` with ``-all`` at its end
-        (``diagnosis-all`` by default). Empty if it is no such command, such as a call of Python.
+        (``diagnosis-all`` by default). Of a call of Python, the call with all logs; a fit that is its model is
+        ``fit``. Empty if it is no such command or call, or if a call gives only the number of its logs.
     """
+    if command.startswith("seatrial.diagnose("):
+        return _call_without_validation(command)
     words = command.split(" ")
     if words[:3] != ["seatrial", "ident", "diagnose"] or not any(w.split("=")[0] == "--validate" for w in words):
         return ""
@@ -642,6 +667,26 @@ def command_without_validation(command: str) -> str:
     if re.search(r" --out[ =]", joined) is None:
         return f"{joined} --out diagnosis-all"
     return re.sub(r"( --out[ =])(\S+?)/?(?= |$)", r"\1\2-all", joined)
+
+
+def _call_without_validation(command: str) -> str:
+    """Return the call of ``seatrial.diagnose`` whose validation logs join the others; empty if it is no such call."""
+    try:
+        call = ast.parse(command, mode="eval").body
+    except SyntaxError:  # a value without a form in code is described in words
+        return ""
+    if not isinstance(call, ast.Call) or len(call.args) < 2:
+        return ""
+    logs, further = call.args[1], next((k.value for k in call.keywords if k.arg == "validate"), None)
+    # [25 logs], which is no code, was a syntax error
+    if not isinstance(logs, ast.List) or not isinstance(further, ast.List):
+        return ""
+    model = ast.Name("fit") if isinstance(call.args[0], ast.Call) else call.args[0]
+    joined = ast.List([*logs.elts, *further.elts])
+    kept = [k for k in call.keywords if k.arg != "validate"]
+    return ast.unparse(
+        ast.fix_missing_locations(ast.Expression(ast.Call(call.func, [model, joined, *call.args[2:]], kept)))
+    )
 
 
 def _p_in_words(p: float) -> str:

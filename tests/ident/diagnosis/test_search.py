@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.diagnosis import search
@@ -496,7 +497,45 @@ def test_the_logs_of_validation_join_the_others_in_the_next_command(command: str
     begin = "seatrial ident diagnose "
     assert command_without_validation(f"{begin}{command}") == f"{begin}{again}"
     assert command_without_validation(f"{begin}a.toml 1 --out d") == ""
-    assert command_without_validation("st.diagnose(fit, ['1.mcap'], validate=['2.mcap'])") == ""
+
+
+@pytest.mark.parametrize(
+    ("call", "again"),
+    [
+        ("'vehicle', ['1.mcap'], validate=['2.mcap'], rate=5.0", "'vehicle', ['1.mcap', '2.mcap'], rate=5.0"),
+        ("seatrial.fit(['1.mcap'], validate=['2.mcap']), ['1.mcap'], validate=['2.mcap']", "fit, ['1.mcap', '2.mcap']"),
+        ("'vehicle', ['1.mcap']", ""),
+        ("'vehicle', [25 logs], validate=['2.mcap']", ""),
+    ],
+)
+def test_the_logs_of_validation_join_the_others_in_the_next_call(call: str, again: str) -> None:
+    said = f"seatrial.diagnose({again})" if again else ""
+    assert command_without_validation(f"seatrial.diagnose({call})") == said
+
+
+def test_an_open_verdict_of_the_validation_logs_has_the_command_that_decides() -> None:
+    """The answer had a found effect, no significant change of the error, and no command for the next step."""
+    effect = Effect("reverse-mismatch", "a loss in reverse", {})
+    chosen = Refit(effect, blank(), 90.0, 1, 82.0, 30.0, 4.0)
+    found = Diagnosis(
+        blank(), blank(cross_validated=False, fit=blank(flags=())), (Round((), (), (chosen,), chosen),), (), (),
+        (EffectAttribution(effect.name, "identified"),), (EffectImportance(effect.name, 90.0, 1.02, 137.0, 3.7),),
+    )  # fmt: skip
+    change = parts.PredictionChangeRow(
+        role="validation", ratio=0.71, low=0.48, high=1.04, verdict="unchanged", better=(), worse=()
+    )
+    again = "seatrial ident diagnose vehicle/model.toml 1.mcap 2.mcap 3.mcap --out diagnosis-all"
+    said = (
+        "So the effect is found in the data, but these validation logs are too few to decide if it improves the "
+        f"prediction. Next, diagnose all logs of the boat together, without --validate: `{again}`."
+    )
+    assert said in diagnosis_answer(found, change, 10.0, again=again)
+    fell = structs.replace(change, high=0.9, verdict="fell")
+    assert again not in diagnosis_answer(found, fell, 10.0, again=again)
+    narrow = structs.replace(change, ratio=0.99, low=0.97, high=1.01)  # the prediction is as good: that is decided
+    assert again not in diagnosis_answer(found, narrow, 10.0, again=again)
+    blocks = replace(found, after=blank(cross_validated=True, fit=blank(flags=())))
+    assert "Next, diagnose all logs" not in diagnosis_answer(blocks, change, 10.0, again=again)
 
 
 def test_a_curve_of_two_velocities_is_told_once_and_has_a_page() -> None:
