@@ -38,6 +38,7 @@ from seatrial.ident.workflows.output import validity
 POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
 LEAST_GAIN = 0.01  # of the largest difference of both sides: a further mean with a smaller gain is not worth a curve
+LEAST_DISTANCE = 0.02  # of the largest command, between the means of two curves: nearer curves are nearly the same
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
 COURSE_SHARE = 0.75  # speed at which the stability on course is reported, as a part of the highest one in the data
 SPEEDS_OF_DAMPING = 101  # speeds at which the damping of sway is computed
@@ -285,7 +286,7 @@ def steady_curves(
         Covariance of the estimates.
     means : sequence of float, optional
         Means of both sides in turns, as parts of the largest command. None: zero, half of the largest command, and the
-        mean with the largest difference of both sides in the data, if it is another one.
+        mean with the largest difference of both sides in the data, if it is clearly another one.
     points : int
         Number of commands of each curve, which are evenly spaced. The curve of the speed has zero in addition.
     conditions : mapping, optional
@@ -362,12 +363,14 @@ class Drives:
         """Return the means of both sides for the curves of turns: zero, half of the largest command, and the widest.
 
         The widest is the mean of one side at its largest and the other side at its smallest value, where both differ
-        most. It is left out if the other two means have as large a difference.
+        most. It is left out if the other two means have as large a difference, or if it is so near one
+        of them that both curves are nearly the same.
         """
         found = [part * self.high for part in MEANS]
         widest = max((0.5 * (self.left[1] + self.right[0]), 0.5 * (self.left[0] + self.right[1])), key=self._largest)
         gained = self._largest(widest) > (1.0 + LEAST_GAIN) * max(map(self._largest, found))
-        return [*found, widest] if gained else found
+        apart = min(abs(mean - widest) for mean in found) > LEAST_DISTANCE * self.high
+        return [*found, widest] if gained and apart else found
 
     def _largest(self, mean: float) -> float:
         """Return the largest half difference of both sides with this mean, in either direction."""

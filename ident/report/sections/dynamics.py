@@ -29,7 +29,6 @@ SHORTEST = (
     "≤: the shortest lag of a state of the model. A lag with a shorter time constant in the table of parameters, such "
     "as T_n = 0, has this pole too, and less part in the motion; with zero it has none."
 )
-DOUBLING = np.log(2.0)  # time in which an unstable motion doubles, in time constants
 
 
 def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
@@ -167,7 +166,7 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
             constant = f"{formatting.plain(float(-1.0 / real))} s" if real < 0.0 else "–"
             if not imaginary and real and is_shortest_lag(float(-1.0 / real)):
                 any_shortest, constant = True, f"≤ {constant}"
-            grows = f"unstable: doubles in {formatting.plain(float(DOUBLING / real), 2)} s" if real > 0.0 else ""
+            grows = f"unstable: grows by a factor of e in {formatting.plain(float(1.0 / real))} s" if real > 0.0 else ""
             if is_undetermined(float(real), float(error)):
                 any_lost, constant, grows = True, "not determined", f"stability {NOT_SHOWN}" if real > 0.0 else ""
             any_growing = any_growing or bool(grows)

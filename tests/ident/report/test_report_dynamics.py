@@ -133,7 +133,7 @@ def test_step_response_has_its_band(shown: Page) -> None:
 def test_poles_are_in_words(shown: Page) -> None:
     words = " ".join(shown.words.split())
     assert "0.5 m/s, shaft speed 0.250 −0.500 ± 2.00 j 2.00 s" in words
-    assert "1 m/s, shaft speed n_left 0.500, n_right 0.510 0.100 – unstable: doubles in 6.9 s" in words
+    assert "1 m/s, shaft speed n_left 0.500, n_right 0.510 0.100 – unstable: grows by a factor of e in 10.0 s" in words
     assert "From 1 m/s on, the boat does not hold a straight course" in words
     assert "With the dead time: 120 ms of n_left" in words
     assert (
@@ -154,7 +154,7 @@ def test_poles_have_the_states_that_take_part() -> None:
 
     replaced = msgspec.structs.replace
     assert "time constant mainly stability 0.5 m/s, shaft speed 0.250 −0.500 ± 2.00 j 2.00 s r, v" in words(named)
-    assert "r, v unstable: doubles in 6.9 s −2.00 0.500 s n_left" in words(named)
+    assert "r, v unstable: grows by a factor of e in 10.0 s −2.00 0.500 s n_left" in words(named)
     assert "time constant stability 0.5 m/s" in words(found.points)
     assert "time constant mainly 0.5 m/s" in words(named[:1])
 
