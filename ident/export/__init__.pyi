@@ -23,3 +23,4 @@ from .programs import FORMATS_OF_PROGRAMS as FORMATS_OF_PROGRAMS
 from .programs import described_format as described_format
 from .state_feedback import StateFeedback as StateFeedback
 from .steady_motion import steady_motion as steady_motion
+from .steady_motion import straight_motion as straight_motion

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seatrial.daq.errors import UnknownName
 from seatrial.ident.export.codegen import without_nuisance
@@ -19,6 +20,11 @@ FIRST_STEP_S, LAST_STEP_S, GROWTH, STEPS = 0.1, 1e6, 1.5, 80  # step of time in 
 LONG_STEP_S, REACHED = 1e3, 1e-13
 STEADY = 1e-7  # largest rate of a steady motion, in the unit of each state per second
 RELATIVE_STEP = 1e-4  # step of the derivatives by the parameters, as a part of their standard errors
+NEWTON_STEPS = 60
+PARTS = (1.0, 0.5, 0.2, 0.05)  # parts of a step of Newton's method that are tried
+# Half differences of the sides at which the search for a straight course starts. At zero command the thrust does not
+# depend on the difference to first order, so that Newton's method cannot leave zero.
+STARTS = (0.0, 0.1, -0.1)
 
 
 @dataclass(frozen=True)
@@ -102,12 +108,137 @@ def steady_motion(
     return SteadyMotion(rates.names, x, _errors(rates, x, u, slope, good, names, covariance))
 
 
+@dataclass(frozen=True)
+class StraightMotion:
+    """Steady motions of a model on a straight course, which the inputs of both sides hold.
+
+    Attributes
+    ----------
+    speed : Array (n_rows,)
+        Forward speed [m/s]; NaN where no steady straight motion is found.
+    sd : Array (n_rows,)
+        Standard error of the speed from those of the estimates [m/s]; NaN if it is unknown.
+    difference : Array (n_rows,)
+        Factor of the direction ``turning`` that is added to the inputs to hold the course.
+    growth : Array (n_rows,)
+        Largest real part of the poles at constant inputs [1/s]. If it is positive, the boat leaves the course without
+        a controller.
+    """
+
+    speed: Array
+    sd: Array
+    difference: Array
+    growth: Array
+
+
+def straight_motion(
+    model: Model,
+    u: Array,
+    turning: Array,
+    names: tuple[str, ...] = (),
+    covariance: Array | None = None,
+    conditions: Mapping[str, float] | None = None,
+) -> StraightMotion:
+    """Return the steady motions of a model without yaw rate, in still water, at inputs that hold the course.
+
+    The inputs of a row are ``u + difference * turning``. The yaw rate is zero, and its rate of change too. Sway is
+    free: a boat whose sides push unequally may drift. A motion whose surge is not stable counts as not found (NaN). A
+    motion whose course is not stable is returned with a positive ``growth``.
+
+    Parameters
+    ----------
+    model : Model
+        Model with its estimates as values, with the states u and r.
+    u : Array (n_rows, m)
+        Inputs of each motion before the difference: those of the model without delayed copies, time and work.
+    turning : Array (m,)
+        Change of the inputs that turns the boat, for example +1 for the left side and -1 for the right side.
+    names, covariance, conditions
+        As those of `steady_motion`.
+
+    Notes
+    -----
+    Newton's method with shortened steps starts from the motion whose sway and yaw rate are held at zero. The unknowns
+    are the states without the yaw rate, and the difference. The errors are those of the implicit function theorem.
+    """
+    reduced, _ = without_nuisance(model)
+    rates, u = Rates(reduced, (), chosen_conditions(reduced, at=conditions)), np.atleast_2d(u)
+    yaw = rates.names.index("r")
+    side = [k for k, n in enumerate(rates.names) if n in ("v", "r")]
+    other = [k for k in range(len(rates.names)) if k not in side]
+    start = np.zeros((len(u), len(rates.names)))
+    start[:, other] = steady_motion(model, u, held=("v", "r"), conditions=conditions).x
+    # The yaw rate is zero: its column has the difference instead.
+    z, rest = np.nan_to_num(start), np.full(len(u), np.inf)
+    for first in STARTS:
+        open_ = np.flatnonzero(~(rest < STEADY))
+        if not open_.size:
+            break
+        z[open_] = np.nan_to_num(start[open_])
+        z[open_, yaw] = first
+        z[open_], rest[open_] = _newton(rates, z[open_], u[open_], turning, yaw)
+    x, difference = z.copy(), z[:, yaw].copy()
+    x[:, yaw] = 0.0
+    inputs = u + difference[:, None] * turning
+    _, slope = rates.with_slopes(x, inputs)
+    good = np.isfinite(z).all(axis=1) & (rest < STEADY) & np.isfinite(slope).all(axis=(1, 2))
+    growth = np.full(len(u), np.nan)
+    for k in np.flatnonzero(good):
+        good[k] = bool((np.linalg.eigvals(slope[k][np.ix_(other, other)]).real < 0.0).all())
+        growth[k] = np.linalg.eigvals(slope[k]).real.max() if good[k] else np.nan
+    forward = rates.names.index("u")
+    whole = _with_difference(slope, rates.by_inputs(x, inputs), turning, yaw)
+    sd = _errors(rates, x, inputs, whole, good, names, covariance)[:, forward]
+    speed, difference = np.where(good, x[:, forward], np.nan), np.where(good, difference, np.nan)
+    return StraightMotion(speed, sd, difference, growth)
+
+
+def _with_difference(slope: Array, by_inputs: Array, turning: Array, yaw: int) -> Array:
+    """Return the slopes (n_rows, n, n) whose column ``yaw`` is the derivative by the difference of the inputs."""
+    whole = slope.copy()
+    whole[:, :, yaw] = by_inputs @ turning
+    return whole
+
+
+def _newton(rates: Rates, z: Array, u: Array, turning: Array, yaw: int) -> tuple[Array, Array]:
+    """Return the unknowns z (n_rows, n) of straight motion, and their largest rates (n_rows,).
+
+    The column ``yaw`` of z has the difference of the inputs; the yaw rate is zero.
+    """
+
+    def split(z: Array) -> tuple[Array, Array]:
+        x = z.copy()
+        x[..., yaw] = 0.0
+        return x, u + z[..., yaw, None] * turning
+
+    size = np.full(len(z), np.inf)
+    for _ in range(NEWTON_STEPS):
+        x, inputs = split(z)
+        rate, slope = rates.with_slopes(x, inputs)
+        size = np.abs(rate).max(axis=1)
+        whole = _with_difference(slope, rates.by_inputs(x, inputs), turning, yaw)
+        if not (np.isfinite(size).all() and np.isfinite(whole).all()):
+            whole, rate = np.nan_to_num(whole, posinf=0.0, neginf=0.0), np.nan_to_num(rate, posinf=0.0, neginf=0.0)
+        if np.all(size < REACHED):
+            break
+        step = -(np.linalg.pinv(whole) @ rate[..., None])[..., 0]
+        tried = np.stack([z + part * step for part in PARTS])
+        sizes = np.stack([np.abs(rates(*split(t))).max(axis=1) for t in tried])
+        best = np.argmin(np.where(np.isfinite(sizes), sizes, np.inf), axis=0)
+        rows = np.arange(len(z))
+        better = sizes[best, rows] < size
+        if not better.any():
+            break
+        z = np.where(better[:, None], tried[best, rows], z)
+    return z, np.abs(rates(*split(z))).max(axis=1)
+
+
 def _errors(
     rates: Rates,
     x: Array,
     u: Array,
     slope: Array,
-    good: Array,
+    good: NDArray[np.bool_],
     names: tuple[str, ...],
     covariance: Array | None,
 ) -> Array:
@@ -126,7 +257,8 @@ def _errors(
         size = RELATIVE_STEP * np.sqrt(known[j, j])
         if size > 0.0:
             found[:, :, j] = rates.by_parameter(at, inputs, names[k], float(size))
-    by_estimate = -np.linalg.solve(slope[good], found)
+    # The pseudo-inverse: at zero command the thrust does not depend on a difference of the sides to first order.
+    by_estimate = -np.linalg.pinv(slope[good]) @ found
     variance = np.einsum("rip,pq,riq->ri", by_estimate, known, by_estimate)
     sd[good] = np.sqrt(np.maximum(variance, 0.0))
     return sd

@@ -22,6 +22,7 @@ from .page import write_report as write_report
 from .sections.comparison import kind_title as kind_title
 from .sections.comparison import overlay_panels as overlay_panels
 from .sections.comparison import with_legend as with_legend
+from .sections.dynamics import held_course as held_course
 from .study_page import study_as_text as study_as_text
 from .study_page import write_study_docs as write_study_docs
 from .study_page import write_study_page as write_study_page

@@ -287,11 +287,19 @@ def line_trace(
 
 
 def trusted_lines(
-    x: Array, y: Array, name: str, limit: int, trusted: tuple[float, float] | None, *, color: str = MODEL
+    x: Array,
+    y: Array,
+    name: str,
+    limit: int,
+    trusted: tuple[float, float] | None,
+    *,
+    color: str = MODEL,
+    unstable: NDArray[np.bool_] | None = None,
 ) -> list[Trace]:
     """Return the traces of a line that is solid where y is within the data, and dotted beyond.
 
-    The dotted trace is named ``name, beyond the data``.
+    The dotted trace is named ``name, beyond the data``. A part within the data where the course is unstable is dashed,
+    and named ``name, unstable course``.
 
     Parameters
     ----------
@@ -305,21 +313,24 @@ def trusted_lines(
         Smallest and largest y of the data; None: the line is solid.
     color
         Colour, for example ``#0072B2``.
+    unstable
+        Whether the course is unstable at each point (n,); None: at none.
 
     Returns
     -------
     list of Trace
-        One trace, or two if a part of the line is beyond. Both parts share the points at which they meet.
+        One trace, and one for each further kind of part. Parts share the points at which they meet.
     """
     low, high = trusted or (-np.inf, np.inf)
     outside = (y < low) | (y > high)
-    if not outside.any():
-        return [line_trace(x, y, name, limit, color=color)]
-    beside = outside | np.append(outside[1:], False) | np.append(False, outside[:-1])
-    return [
-        line_trace(x, np.where(outside, np.nan, y), name, limit, color=color),
-        line_trace(x, np.where(beside, y, np.nan), f"{name}, beyond the data", limit, color=color, dash="dot"),
-    ]
+    leaves = np.zeros(y.size, np.bool_) if unstable is None else unstable & ~outside
+    traces = [line_trace(x, np.where(outside | leaves, np.nan, y), name, limit, color=color)]
+    for part, words, dash in ((leaves, "unstable course", "dash"), (outside, "beyond the data", "dot")):
+        if part.any():
+            beside = part | np.append(part[1:], False) | np.append(False, part[:-1])
+            beside &= part | ~outside  # the dashed part ends where the dotted one, which has this point too, begins
+            traces.append(line_trace(x, np.where(beside, y, np.nan), f"{name}, {words}", limit, color=color, dash=dash))
+    return traces
 
 
 def continuous(angle: Array, turn: float) -> Array:

@@ -481,11 +481,14 @@ def _best_words(row: ComparedChannel) -> str:
 
     It is ``all`` if there are more than two models and all are equally good. If a ratio to the best model has no
     interval, the text ends with the number of blocks of time: ``a; no interval: 2 blocks``. If none has one, it names
-    no model: ``undecided; no interval: 2 blocks``.
+    no model: ``undecided; no interval: 2 blocks``. Models without a verdict whose errors are larger than that of a
+    worse one are unclear: ``b; unclear: a``.
     """
     if row.undecided:
         return f"undecided; {verdict_words(row.unproven[0])}"
     words = "all" if row.all_equal else " ".join(row.not_worse) or "–"
+    if row.unclear:
+        words += f"; unclear: {' '.join(row.unclear)}"
     return f"{words}; {verdict_words(row.unproven[0])}" if row.unproven else words
 
 

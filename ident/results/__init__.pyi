@@ -89,6 +89,7 @@ from .comparison import ComparedError as ComparedError
 from .comparison import ComparedKind as ComparedKind
 from .comparison import ComparedMass as ComparedMass
 from .comparison import ComparedModel as ComparedModel
+from .comparison import ComparedPair as ComparedPair
 from .comparison import ComparedPrediction as ComparedPrediction
 from .comparison import ComparedRatio as ComparedRatio
 from .comparison import ComparedTrace as ComparedTrace

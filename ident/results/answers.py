@@ -195,7 +195,7 @@ def _nearly_fell(change: PredictionChangeRow, horizon: float) -> str:
         return ""
     return (
         f" The error is probably smaller with the effects: a shorter horizon (--horizon {0.5 * horizon:g}) or more "
-        "data can decide."
+        "logs can decide."
     )
 
 

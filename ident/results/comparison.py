@@ -36,6 +36,16 @@ class ComparedRatio(Part, frozen=True, kw_only=True):
     )
     verdict: Annotated[ComparisonVerdict, Meta(description="verdict, by the interval")]
 
+    @property
+    def inverse(self) -> ComparedRatio:
+        """The error of the other model divided by that of the model."""
+        low, high = (None if x is None or x <= 0.0 else 1.0 / x for x in (self.high, self.low))
+        swapped: dict[ComparisonVerdict, ComparisonVerdict] = {"better": "worse", "worse": "better"}
+        ratio = 1.0 / self.ratio if self.ratio > 0.0 else float("inf")
+        return ComparedRatio(
+            ratio=ratio, low=low, high=high, blocks=self.blocks, verdict=swapped.get(self.verdict, self.verdict)
+        )
+
 
 class ComparedError(Part, frozen=True, kw_only=True):
     """Prediction error of one model for one channel and one kind of prediction."""
@@ -109,14 +119,39 @@ class ComparedChannel(Part, frozen=True, kw_only=True):
     def not_worse(self) -> tuple[str, ...]:
         """Labels of the best model and of those that are not distinguishable from it, in the order of the models.
 
-        A model whose ratio to the best one cannot be computed, or has no interval (`unproven`), is not among them. The
-        result is empty if all diverged.
+        A model whose ratio to the best one cannot be computed, or has no interval (`unproven`), is not among them, nor
+        are the `unclear` ones. The result is empty if all diverged.
         """
         return tuple(
             e.model
             for e in self.errors
-            if e.model == self.best or (e.against_best is not None and e.against_best.verdict == "indistinguishable")
+            if e.model == self.best
+            or (
+                e.against_best is not None
+                and e.against_best.verdict == "indistinguishable"
+                and e.against_best.ratio < self._least_worse
+            )
         )
+
+    @property
+    def unclear(self) -> tuple[str, ...]:
+        """Labels of the models without a verdict against the best one, although a smaller error is significantly worse.
+
+        Their errors vary so much between the blocks of time that they are not shown to be worse. They are not as good.
+        """
+        return tuple(
+            e.model
+            for e in self.errors
+            if e.against_best is not None
+            and e.against_best.verdict == "indistinguishable"
+            and e.against_best.ratio >= self._least_worse
+        )
+
+    @property
+    def _least_worse(self) -> float:
+        """Smallest ratio to the best model of those that are significantly worse; infinite without any."""
+        ratios = (e.against_best for e in self.errors)
+        return min((r.ratio for r in ratios if r is not None and r.verdict == "worse"), default=float("inf"))
 
     @property
     def all_equal(self) -> bool:
@@ -134,6 +169,15 @@ class ComparedKind(Part, frozen=True, kw_only=True):
     seconds: Annotated[float | None, Meta(description="horizon [s]; null: one step ahead, or simulation")] = None
     block: Annotated[float, Meta(description="length of the blocks of time for the intervals [s]")]
     against_reference: Annotated[ComparedRatio, Meta(description="all channels together")]
+
+
+class ComparedPair(Part, frozen=True, kw_only=True):
+    """Prediction errors over all channels of a model against those of another one than the first, over a horizon."""
+
+    model: Annotated[str, Meta(description=LABEL)]
+    other: Annotated[str, Meta(description="label of the other model")]
+    seconds: Annotated[float, Meta(description="horizon [s]")]
+    ratio: Annotated[ComparedRatio, Meta(description="all channels together, `model` against `other`")]
 
 
 class LogScore(Part, frozen=True, kw_only=True):
@@ -339,6 +383,13 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
         tuple[ComparedChannel, ...], Meta(description="errors by kind of prediction and channel, of all models")
     ]
     traces: Annotated[tuple[ComparedTrace, ...], Meta(description="one for each record and channel")]
+    pairs: Annotated[
+        tuple[ComparedPair, ...],
+        Meta(
+            description="models against each other; those against the first model are in its `changes`; empty also of "
+            "an earlier version"
+        ),
+    ] = ()
 
     @property
     def is_evaluation(self) -> bool:
@@ -377,13 +428,52 @@ class ComparisonResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
 
     @property
     def best(self) -> str:
-        """Label of the best model over the first horizon: the smallest error of all channels of those that are better.
+        """Label of the best model over the first horizon, which does not depend on the order of the models.
 
-        Only models that are significantly better than the first one are considered. Without any it is the first.
+        It is `significantly_best`, or else the model with the smallest error of all channels.
         """
-        ahead = [(m.label, m.ahead(self.horizons[0])) for m in self.models]
-        better = [(r.ratio, label) for label, r in ahead if r is not None and r.verdict == "better"]
-        return min(better)[1] if better else self.models[0].label
+        return self.significantly_best or min(self._sizes, key=self._sizes.__getitem__)
+
+    @property
+    def significantly_best(self) -> str | None:
+        """Label of the model with the smallest error of all channels over the first horizon, of those that are better.
+
+        Only models are considered that are significantly better than another one, and than which no other one is
+        significantly better. None without any.
+        """
+        found = {label: self.verdicts(label) for label in self._sizes}
+        good = [n for n, own in found.items() if "better" in own.values() and "worse" not in own.values()]
+        return min(good, key=self._sizes.__getitem__) if good else None
+
+    def verdicts(self, label: str) -> dict[str, ComparisonVerdict]:
+        """Return the verdicts on a model over the first horizon, by the label of the other model."""
+        against = ((m.label, self.ratio(label, m.label, self.horizons[0])) for m in self.models)
+        return {other: r.verdict for other, r in against if r is not None}
+
+    def ratio(self, label: str, other: str, seconds: float) -> ComparedRatio | None:
+        """Return the error of all channels of a model over a horizon [s] against that of another one.
+
+        It is None if the logs have no such predictions of both, or for a result of an earlier version.
+        """
+        first = self.models[0].label
+        by_label = {m.label: m for m in self.models}
+        if label == other:
+            return None
+        if other == first:
+            return by_label[label].ahead(seconds)
+        if label == first:
+            found = by_label[other].ahead(seconds)
+            return None if found is None else found.inverse
+        for pair in self.pairs:
+            if pair.seconds == seconds and {pair.model, pair.other} == {label, other}:
+                return pair.ratio if pair.model == label else pair.ratio.inverse
+        return None
+
+    @property
+    def _sizes(self) -> dict[str, float]:
+        """Errors of all channels over the first horizon against the first model, by label, of those that have one."""
+        ahead = {m.label: m.ahead(self.horizons[0]) for m in self.models[1:]}
+        return {self.models[0].label: 1.0} | {label: r.ratio for label, r in ahead.items() if r is not None}
 
     def counts(self, label: str) -> dict[ComparisonVerdict, int]:
         """Return the number of channels and kinds of prediction by the verdict on a model against the first one.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -103,6 +104,8 @@ from seatrial.ident.validation import PredictionEvaluation
 
 MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 USABLE_ERROR = 0.05  # of the range of force or shaft speed, up to which the thrust curve of a bench can be used
+SIGNIFICANT = 2.0  # standard errors from which a value of a curve differs from zero
+OPEN_BELOW = 0.95  # ratio of the errors that matters: an interval that reaches below it leaves open if they fell
 WORSE_SIMULATION = 1.2  # ratio of the errors of a simulation, from which it is called worse
 # Reasons, as clauses, why candidates that still pass were not tried after the last effect.
 MOST_NEAREST = 2  # effects that are named if none was added
@@ -190,13 +193,22 @@ def diagnosis_result(
     wind = wind_sentence(made, diagnosis.after.fit.model)
     worse = of_judging_data(_worse_simulation_sentence(errors) if diagnosis.effects else "", in_blocks)
     late = late_command_sentence(made) if bench else ""
-    usable = ""
-    if bench and not diagnosis.effects:
-        usable = _usable_thrust_sentence(errors, _measured_ranges(after), doubted=bool(diagnosis.rounds))
+    before_answer, after_answer = "", ""
+    if bench and diagnosis.effects:
+        doubted = bool(diagnosis.remaining)
+        after_answer = _usable_thrust_sentence(errors, _measured_ranges(after), doubted=doubted, with_effects=True)
+    elif bench:
+        before_answer = _usable_thrust_sentence(errors, _measured_ranges(after), doubted=bool(diagnosis.rounds))
     return DiagnosisResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made)
-        + (failed or late + " ".join(filter(None, [usable, answer, worse, straight_sentence(dynamics), course, wind]))),
+        + (
+            failed
+            or late
+            + " ".join(
+                filter(None, [before_answer, answer, after_answer, worse, straight_sentence(dynamics), course, wind])
+            )
+        ),
         caveat=None if failed else of_judging_data(diagnosis_caveat(diagnosis, bench=bench), in_blocks),
         prediction=prediction,
         converged_before=diagnosis.before.fit.converged,
@@ -343,6 +355,10 @@ def diagnosis_answer(
         if prediction.verdict == "unchanged" and (reason := _likelihood_sentence(diagnosis, prediction.role)):
             sentences.append(reason)
         sentences.append(change_sentence(prediction, horizon, diagnosis.cross_validated))
+        # An interval without a material improvement decides: the prediction is as good without the effects.
+        is_open = prediction.verdict == "unchanged" and prediction.low is not None and prediction.low < OPEN_BELOW
+        if is_open and not diagnosis.cross_validated:
+            sentences.append(_undecided_sentence(diagnosis, again, bench))
     if diagnosis.cross_validated:
         sentences.append(
             "Without --validate, the model is validated by blocked cross-validation: each block of time of the "
@@ -385,12 +401,15 @@ def _measured_ranges(evaluation: PredictionEvaluation) -> dict[str, float]:
     return found
 
 
-def _usable_thrust_sentence(errors: parts.Errors, ranges: Mapping[str, float], *, doubted: bool) -> str:
+def _usable_thrust_sentence(
+    errors: parts.Errors, ranges: Mapping[str, float], *, doubted: bool, with_effects: bool = False
+) -> str:
     """Return the sentence that a bench model predicts force and shaft speed well enough to use its thrust curve.
 
     The errors are those of the simulation from the command, or over the horizon without one, relative to ``ranges``
     (`_measured_ranges`). The text is empty if the force or one of the errors is unknown, or if one of them is more than
     5 % of its range. If the score tests ``doubted`` the model, a clause says that their findings are in these errors.
+    ``with_effects``: whether effects were added, with which the model has these errors.
     """
     data = errors.estimation if errors.validation is None else errors.validation
     table, how = (data.simulation, "from the command alone") if data.simulation else (data.horizon, "over the horizon")
@@ -405,7 +424,8 @@ def _usable_thrust_sentence(errors: parts.Errors, ranges: Mapping[str, float], *
         return ""
     small = f"within {'these small errors' if len(found) > 1 else 'this small error'}"
     rest = f" What the score tests find is {small}." if doubted else ""
-    return f"The model predicts {' and '.join(found)} {how}: the thrust curve can be used.{rest}"
+    model, its = ("The model with the added effects", "its") if with_effects else ("The model", "the")
+    return f"{model} predicts {' and '.join(found)} {how}: {its} thrust curve can be used.{rest}"
 
 
 def _worse_simulation_sentence(errors: parts.Errors) -> str:
@@ -456,7 +476,8 @@ def _missing_effects_sentence(
     that of a thruster on a bench. ``again``: command of a diagnosis of all logs together; it may be empty.
     """
     if diagnosis.effects:
-        return f"{what_is_lacking(diagnosis, fell=_fell_enough(diagnosis, prediction))}."
+        lacking = f"{what_is_lacking(diagnosis, fell=_fell_enough(diagnosis, prediction))}."
+        return " ".join(filter(None, [lacking, _curves_near_zero_sentence(diagnosis)]))
     if diagnosis.mismatches:
         quiet = (
             ""
@@ -594,6 +615,22 @@ def _all_logs_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
     )
 
 
+def _undecided_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
+    """Return the verdict and the next step if the validation logs do not decide whether the prediction is better.
+
+    ``again`` is the command of a diagnosis of all logs together, which may be empty. ``bench``: whether the model is
+    that of a thruster on a bench.
+    """
+    one = len(diagnosis.effects) == 1
+    effects, do, they, them = ("effect", "is", "it", "it") if one else ("effects", "are", "they", "them")
+    command = f": `{again}`" if again else ""
+    return (
+        f"So the {effects} {do} found in the data, but these validation logs are too few to decide if {they} "
+        f"improve{'s' * one} the prediction. Next, diagnose all logs of {'this thruster' if bench else 'the boat'} "
+        f"together, without --validate{command}. Each block of time is then predicted with and without {them}."
+    )
+
+
 def _two_velocities_sentence(name: str) -> str:
     """Return the sentence on the meaning of a force of two velocities that is left unexplained; "" for others.
 
@@ -617,8 +654,11 @@ def command_without_validation(command: str) -> str:
     -------
     str
         The command with the logs of ``--validate`` as further logs, and the folder ``--out`` with ``-all`` at its end
-        (``diagnosis-all`` by default). Empty if it is no such command, such as a call of Python.
+        (``diagnosis-all`` by default). Of a call of Python, the call with all logs; a fit that is its model is
+        ``fit``. Empty if it is no such command or call, or if a call gives only the number of its logs.
     """
+    if command.startswith("seatrial.diagnose("):
+        return _call_without_validation(command)
     words = command.split(" ")
     if words[:3] != ["seatrial", "ident", "diagnose"] or not any(w.split("=")[0] == "--validate" for w in words):
         return ""
@@ -627,6 +667,26 @@ def command_without_validation(command: str) -> str:
     if re.search(r" --out[ =]", joined) is None:
         return f"{joined} --out diagnosis-all"
     return re.sub(r"( --out[ =])(\S+?)/?(?= |$)", r"\1\2-all", joined)
+
+
+def _call_without_validation(command: str) -> str:
+    """Return the call of ``seatrial.diagnose`` whose validation logs join the others; empty if it is no such call."""
+    try:
+        call = ast.parse(command, mode="eval").body
+    except SyntaxError:  # a value without a form in code is described in words
+        return ""
+    if not isinstance(call, ast.Call) or len(call.args) < 2:
+        return ""
+    logs, further = call.args[1], next((k.value for k in call.keywords if k.arg == "validate"), None)
+    # [25 logs], which is no code, was a syntax error
+    if not isinstance(logs, ast.List) or not isinstance(further, ast.List):
+        return ""
+    model = ast.Name("fit") if isinstance(call.args[0], ast.Call) else call.args[0]
+    joined = ast.List([*logs.elts, *further.elts])
+    kept = [k for k in call.keywords if k.arg != "validate"]
+    return ast.unparse(
+        ast.fix_missing_locations(ast.Expression(ast.Call(call.func, [model, joined, *call.args[2:]], kept)))
+    )
 
 
 def _p_in_words(p: float) -> str:
@@ -902,8 +962,10 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     Identified effects come first, then an ambiguous effect as "an effect that resembles ...", several of them as a list
     ("effects that resemble: A; B"), then nonparametric effects. After an ambiguous effect, the text names the best of
     the effects that explain the data as well ("A or, nearly as well, B").
-    Nonparametric effects come first if the most important effect is nonparametric. If ambiguous effects come first, the
-    text begins with "The missing effect resembles ...". The diagnosis must have at least one effect.
+    Nonparametric effects come first if the most important effect is nonparametric. A curve of which no value differs
+    significantly from zero is left out, unless there is no other effect (`_curves_near_zero_sentence`). If ambiguous
+    effects come first, the text begins with "The missing effect resembles ...".
+    The diagnosis must have at least one effect.
 
     Parameters
     ----------
@@ -914,7 +976,11 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         the text is "The missing effect resembles ...", because a better prediction is the only evidence for a curve.
     """
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
-    for r, judged in zip(diagnosis.effects, diagnosis.attributions, strict=True):
+    zero = {e.name for e in _curves_near_zero(diagnosis)}
+    named = [
+        (r, j) for r, j in zip(diagnosis.effects, diagnosis.attributions, strict=True) if r.effect.name not in zero
+    ]
+    for r, judged in named or zip(diagnosis.effects, diagnosis.attributions, strict=True):
         words = in_words(r.effect, diagnosis.after)
         if _is_size_undetermined(r.effect, diagnosis):
             words = "its size is not determined"
@@ -922,7 +988,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         equals = _equal_rivals(judged, diagnosis) if judged.attribution == "ambiguous" else []
         titles[judged.attribution].append(" or, nearly as well, ".join([title, *equals[:1]]))
     identified, ambiguous, nonparametric = titles.values()
-    if nonparametric and diagnosis.attributions[0].attribution == "nonparametric":
+    first = named[0][1] if named else diagnosis.attributions[0]
+    if nonparametric and first.attribution == "nonparametric":
         found = f"The model lacks {_joined_titles(nonparametric)}" if fell else _resemblance_clause(nonparametric)
         rest = [*identified, *(f"an effect that resembles {title}" for title in ambiguous)]
         return f"{found}, and also {_joined_titles(rest)}" if rest else found
@@ -934,6 +1001,37 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         found = _resemblance_clause(ambiguous)
     comma = ";" if len(ambiguous) > 1 else ","  # after a list whose items are separated by semicolons
     return f"{found}{comma} and also {_joined_titles(nonparametric)}" if nonparametric else found
+
+
+def _curves_near_zero(diagnosis: Diagnosis) -> list[Effect]:
+    """Return the added nonparametric effects of which no value is larger than two standard errors.
+
+    The standard errors include the shifts by other candidates that may be missing, as those of the report do.
+    """
+    found = []
+    for r in diagnosis.effects:
+        sizes = [p for p in r.effect.parameters if p.free and p.value == 0.0]
+        if r.effect.kind is EffectKind.NONPARAMETRIC and sizes:
+            values = (diagnosis.after.fit.estimate(p.name) for p in sizes)
+            if all(isfinite(se) and abs(value) < SIGNIFICANT * se for value, se in values):
+                found.append(r.effect)
+    return found
+
+
+def _curves_near_zero_sentence(diagnosis: Diagnosis) -> str:
+    """Return the sentence on the curves that `what_is_lacking` leaves out; empty without any."""
+    curves = _curves_near_zero(diagnosis)
+    if not curves:
+        return ""
+    titles, one = _joined_titles([e.title for e in curves]), len(curves) == 1
+    subject = "none of its values differs" if one else "none of their values differs"
+    kept = ""
+    for w in diagnosis.importances:
+        if one and w.effect == curves[0].name and w.prediction is not None and w.prediction.verdict == "fell":
+            kept = f", although the prediction error is {100.0 * (1.0 - w.prediction.ratio):.2g} % smaller with it"
+    if len(curves) == len(diagnosis.effects):
+        return f"But {subject} significantly from zero{kept}: it is not known what is missing."
+    return f"The model also has {titles}, but {subject} significantly from zero{kept}."
 
 
 def _equal_rivals(judged: EffectAttribution, diagnosis: Diagnosis) -> list[str]:

@@ -10,13 +10,17 @@ import math
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from seatrial.ident.data import FrameOrigin
 from seatrial.ident.estimation import FailedRun, Role
 from seatrial.ident.model import FlagCode
 from seatrial.ident.numerics import Array, stability_of
 
+UNSTABLE = 1e-3  # growth [1/s] from which a course counts as unstable; slower ones are not noticed
+UNEQUAL = 0.02  # difference of both sides that is worth a sentence, as a part of the largest command
 FORMAT = "seatrial-result 3"
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
@@ -784,7 +788,10 @@ class SteadyCurve(Part, frozen=True, kw_only=True):
 
     motion: Annotated[
         Literal["straight", "turn"],
-        Meta(description="`straight`: both sides have the command, and yaw rate and sway are held at zero; `turn`"),
+        Meta(
+            description="`straight`: the yaw rate is zero, which a difference of both sides holds; without two sides "
+            "it is assumed; `turn`"
+        ),
     ]
     quantity: Annotated[str, Meta(description="`u` or `r`")]
     unit: Annotated[str, Meta(description="unit of `value`, SI and radians")]
@@ -793,13 +800,57 @@ class SteadyCurve(Part, frozen=True, kw_only=True):
         float,
         Meta(description="turn: mean of both sides; the left side has mean + command, the right side mean - command"),
     ] = 0.0
-    command: Annotated[Array, Meta(description="command, in the unit of the inputs")]
+    command: Annotated[
+        Array,
+        Meta(
+            description="command, in the unit of the inputs; `straight`: mean of both sides; `turn`: half the "
+            "difference of left and right"
+        ),
+    ]
     value: Annotated[Array, Meta(description="steady value")]
     sd: Annotated[Array, Meta(description="standard error of `value`; null: unknown")]
+    difference: Annotated[
+        Array | None,
+        Meta(
+            description="straight: half the difference of both sides that holds the course; the left side has command "
+            "+ difference, the right side command - difference; null: no two sides, or result of an earlier version"
+        ),
+    ] = None
+    growth: Annotated[
+        Array | None,
+        Meta(
+            description="straight: largest real part of the poles at constant inputs [1/s]; positive: the boat leaves "
+            "the course without a controller; null: no two sides, or result of an earlier version"
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         """Raise ValueError if the arrays of the curve differ in length."""
-        same_length(self, "command", "value", "sd")
+        same_length(self, "command", "value", "sd", "difference", "growth")
+
+    @property
+    def sides(self) -> tuple[Array, Array]:
+        """Inputs of the left and of the right side at each command, in the unit of the inputs."""
+        if self.motion == "turn":
+            return self.mean + self.command, self.mean - self.command
+        half = np.zeros(self.command.size) if self.difference is None else self.difference
+        return self.command + half, self.command - half
+
+    @property
+    def unstable(self) -> NDArray[np.bool_]:
+        """Whether the boat leaves the straight course at each command without a controller."""
+        return np.zeros(self.command.size, np.bool_) if self.growth is None else self.growth > UNSTABLE
+
+    @property
+    def unequal(self) -> int | None:
+        """Index of the command at which the sides that hold the course differ most; None if they hardly differ.
+
+        A difference counts from 2 % of the largest command.
+        """
+        if self.difference is None or not np.isfinite(self.difference).any():
+            return None
+        k = int(np.nanargmax(np.abs(self.difference)))
+        return k if 2.0 * abs(self.difference[k]) > UNEQUAL * float(np.abs(self.command).max()) else None
 
 
 class OperatingPoint(Part, frozen=True, kw_only=True):

@@ -8,6 +8,7 @@ compared at the samples that all of them predict.
 
 from __future__ import annotations
 
+import itertools
 import string
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -37,6 +38,7 @@ from seatrial.ident.results import (
     ComparedChannel,
     ComparedKind,
     ComparedModel,
+    ComparedPair,
     ComparedPrediction,
     ComparedRatio,
     ComparedTrace,
@@ -71,6 +73,7 @@ from seatrial.ident.workflows.compared_predictions import (
 from seatrial.ident.workflows.compared_sizes import size_notes
 from seatrial.ident.workflows.compared_surroundings import surroundings_notes
 from seatrial.ident.workflows.comparison_errors import (
+    ErrorsByRecord,
     at_common_samples,
     calibration_at,
     channel_rows,
@@ -412,7 +415,7 @@ def _result(
     units = {o.name: o.unit for c in compared for o in c.model.outputs}
     channels = list[ComparedChannel]()
     changes: list[list[ComparedKind]] = [[] for _ in compared]
-    events: list[str] = []
+    pairs, events = list[ComparedPair](), list[str]()
     for kind in kinds:
         errors = at_common_samples([{r: p.errors[kind] for r, p in by.items()} for by in predicted])
         lengths = dict.fromkeys(units, max(block, BLOCK_LENGTHS * (kind.seconds or 0.0)))
@@ -426,6 +429,8 @@ def _result(
             found = prediction_change_by_record(errors[0], other, kind.seconds or 0.0, length)
             if (ratio := ratio_row(found)) is not None:
                 own.append(ComparedKind(kind=kind.kind, seconds=kind.seconds, block=length, against_reference=ratio))
+        if kind.seconds is not None:
+            pairs += _pairs(errors, letters, kind.seconds, length)
         if kind.seconds == horizons[0]:
             at = [(k, c) for k, own in enumerate(changes) for c in own if c.seconds == kind.seconds]
             undecided = [k for k, c in at if c.against_reference.verdict not in ("better", "worse")]
@@ -505,8 +510,21 @@ def _result(
         weighed_mass=weighed,
         channels=tuple(channels),
         traces=tuple(_traces(compared, records, by_record, letters)),
+        pairs=tuple(pairs),
     )
     return msgspec.structs.replace(result, answer=comparison_answer(result))
+
+
+def _pairs(
+    errors: Sequence[ErrorsByRecord], letters: Sequence[str], seconds: float, length: float
+) -> Iterator[ComparedPair]:
+    """Yield the error ratios over a horizon [s] between the models other than the first, each pair once.
+
+    ``errors`` are those of each model at common samples; ``length`` is that of the blocks of time [s].
+    """
+    for (j, other), (k, model) in itertools.combinations(list(enumerate(letters))[1:], 2):
+        if (ratio := ratio_row(prediction_change_by_record(errors[j], errors[k], seconds, length))) is not None:
+            yield ComparedPair(model=model, other=other, seconds=seconds, ratio=ratio)
 
 
 def _unconverged_warnings(compared: Sequence[_Candidate], models: Sequence[ComparedModel]) -> Iterator[ResultWarning]:
@@ -793,36 +811,72 @@ def comparison_answer(result: ComparisonResult) -> str:
     shown = [(m, ratio) for m in others if (ratio := m.ahead(seconds)) is not None]
     if not shown:
         return f"The logs have no prediction {seconds:g} s ahead that can be compared."
-    best = next((row for row in shown if row[0].label == result.best), None)
-    if best is not None:
-        words = f"Best {seconds:g} s ahead: ({best[0].label}) {best[0].name}"
-        if equal := _indistinguishable(result, seconds):
-            words += f", without a clear difference in any channel from {equal}"
-        words += f". {_change_words(*best, first)}"
+    by_label = {m.label: m for m in result.models}
+    chosen = result.significantly_best
+    if chosen is not None:
+        best = by_label[chosen]
+        words = f"Best {seconds:g} s ahead: ({best.label}) {best.name}"
+        beside = [(m, r) for m in result.models if (r := result.ratio(m.label, chosen, seconds)) is not None]
+        equal = [m for m, r in beside if r.verdict == "indistinguishable" and r.ratio >= 1.0]
+        smaller = [(m, r) for m, r in beside if r.verdict == "indistinguishable" and r.ratio < 1.0]
+        worse = [(m, r) for m, r in beside if r.verdict == "worse"]
+        if equal:
+            words += f", without a clear difference over all channels from {_listed(equal)}"
+        # The first model is the one that the user compares with. If it is not worse, the nearest one that is.
+        against = next((m for m, _ in worse if m is first), None) or min(worse, key=lambda row: row[1].ratio)[0]
+        of, reference = (against, best) if best is first else (best, against)
+        words += "." + _change_sentence(result, of, reference, seconds)
         words += "".join(
             f" The error of ({m.label}) {m.name} is smaller still, but differs too much between the blocks of time for "
-            f"a verdict. {_change_words(m, ratio, first)}"
-            for m, ratio in shown
-            if ratio.ratio < best[1].ratio
+            f"a verdict.{_change_sentence(result, m, best, seconds)}"
+            for m, _ in smaller
         )
-    elif all(ratio.verdict == "worse" for _, ratio in shown):
-        nearest = min(shown, key=lambda row: row[1].ratio)
-        words = f"Best {seconds:g} s ahead: ({first.label}) {first.name}. {_change_words(*nearest, first)}"
-    elif all(ratio.verdict == "no-interval" for _, ratio in shown):
+        if others_worse := [(m, r) for m, r in worse if m is not against]:
+            words += f" {_worse_words(others_worse, best)}"
+        words += _simplest([best, *equal, *(m for m, _ in smaller)])
+        return words + _other_horizons(result, of, reference)
+    if all(ratio.verdict == "no-interval" for _, ratio in shown):
         blocks = f" (no interval: {counted(n, 'block')})" if (n := shown[0][1].blocks) is not None else ""
         words = f"The logs are too short for a verdict {seconds:g} s ahead{blocks}."
-        if len(shown) == 1:
-            words += f" {_change_words(*shown[0], first)}"
+        if len(shown) > 1:
+            return words
+        words += f" {_change_words(*shown[0], first)}"
+    elif len(shown) == 1:
+        words = f"No clear difference between {_listed([first, shown[0][0]])} {seconds:g} s ahead."
+        words += f" {_change_words(*shown[0], first)}{_simplest([first, shown[0][0]])}"
     else:
-        words = f"No model is significantly better than ({first.label}) {first.name} {seconds:g} s ahead."
-        if len(shown) == 1:
-            second, ratio = shown[0]
-            both = f"({first.label}) {first.name} and ({second.label}) {second.name}"
-            words = f"No clear difference between {both} {seconds:g} s ahead. {_change_words(second, ratio, first)}"
-        elif worse := [(m, ratio) for m, ratio in shown if ratio.verdict == "worse"]:
-            words += f" {_worse_words(worse, first)}"
-    of = best[0] if best is not None else shown[0][0] if len(shown) == 1 else None
-    return words if of is None else words + _other_horizons(of, result.horizons[1:])
+        least, compared = by_label[result.best], [first, *(m for m, _ in shown)]
+        words = f"No model is significantly better than another one {seconds:g} s ahead. The smallest error over all "
+        return words + f"channels is that of ({least.label}) {least.name}.{_simplest(compared)}"
+    return words + _other_horizons(result, shown[0][0], first)
+
+
+def _listed(models: Sequence[ComparedModel]) -> str:
+    """Return the labels and names of models, joined by commas and "and"."""
+    *before, last = (f"({m.label}) {m.name}" for m in models)
+    return f"{', '.join(before)} and {last}" if before else last
+
+
+def _simplest(models: Sequence[ComparedModel]) -> str:
+    """Return a sentence, after a space, that names the model with the fewest estimated parameters.
+
+    It is empty for one model, and if several models have as few parameters. ``models`` have no clear difference.
+    """
+    ordered = sorted(models, key=lambda m: m.n_free)
+    if len(ordered) < 2 or ordered[0].n_free == ordered[1].n_free:
+        return ""
+    least = ordered[0]
+    beside = " and ".join(str(n) for n in sorted({m.n_free for m in ordered[1:]}))
+    return (
+        f" The simple{'r' if len(ordered) == 2 else 'st'} of these without a clear difference is ({least.label}) "
+        f"{least.name}: it has {least.n_free} estimated parameters, and not {beside}."
+    )
+
+
+def _change_sentence(result: ComparisonResult, model: ComparedModel, reference: ComparedModel, seconds: float) -> str:
+    """Return, after a space, the sentence on the error of a model against another one; empty without their ratio."""
+    ratio = result.ratio(model.label, reference.label, seconds)
+    return "" if ratio is None else f" {_change_words(model, ratio, reference)}"
 
 
 def _worse_words(worse: Sequence[tuple[ComparedModel, ComparedRatio]], reference: ComparedModel) -> str:
@@ -833,20 +887,6 @@ def _worse_words(worse: Sequence[tuple[ComparedModel, ComparedRatio]], reference
     ordered = sorted(worse, key=lambda row: row[1].ratio)
     names = ", ".join(f"({m.label}) {m.name} (error {ratio.ratio:.3g} times as large)" for m, ratio in ordered)
     return f"Significantly worse than ({reference.label}): {names}."
-
-
-def _indistinguishable(result: ComparisonResult, seconds: float) -> str:
-    """Return the models other than the first that no channel over a horizon [s] distinguishes from the best one.
-
-    The text has their labels and names, joined by "and"; it is empty for none.
-    """
-    rows = [row for row in result.channels if row.seconds == seconds and row.best is not None]
-    found = [
-        f"({m.label}) {m.name}"
-        for m in result.models[1:]
-        if m.label != result.best and rows and all({m.label, result.best} <= set(row.not_worse) for row in rows)
-    ]
-    return " and ".join(found)
 
 
 def _evaluation_answer(result: ComparisonResult) -> str:
@@ -879,12 +919,18 @@ def _change_words(model: ComparedModel, ratio: ComparedRatio, reference: Compare
     )
 
 
-def _other_horizons(model: ComparedModel, horizons: Sequence[float]) -> str:
-    """Return a sentence, after a space, on the error of a model over further horizons [s]; empty without any."""
-    changes = [(s, ratio) for s in horizons if (ratio := model.ahead(s)) is not None]
+def _other_horizons(result: ComparisonResult, model: ComparedModel, reference: ComparedModel) -> str:
+    """Return a sentence, after a space, on the error of a model against another one over the further horizons.
+
+    It is empty without any.
+    """
+    ratios = ((s, result.ratio(model.label, reference.label, s)) for s in result.horizons[1:])
+    changes = [(s, ratio) for s, ratio in ratios if ratio is not None]
     if not changes:
         return ""
-    return f" It is {', '.join(f'{_size_of_change(r)} {s:g} s ahead{_interval_of_change(r)}' for s, r in changes)}."
+    words = ", ".join(f"{_size_of_change(r)} {s:g} s ahead{_interval_of_change(r)}" for s, r in changes)
+    subject = "It" if len(result.models) == 2 else f"Against ({reference.label}), that of ({model.label})"
+    return f" {subject} is {words}."
 
 
 def _size_of_change(ratio: ComparedRatio, than: str = "") -> str:

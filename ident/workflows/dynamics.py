@@ -17,6 +17,7 @@ from seatrial.ident.export import (
     linearise,
     side_inputs,
     steady_motion,
+    straight_motion,
     sway_slopes,
     turn_sentence,
 )
@@ -37,9 +38,12 @@ from seatrial.ident.workflows.output import validity
 POINTS = 41  # of a steady curve
 MEANS = (0.0, 0.5)  # means of both sides in turns, as parts of the largest command
 LEAST_GAIN = 0.01  # of the largest difference of both sides: a further mean with a smaller gain is not worth a curve
+LEAST_DISTANCE = 0.02  # of the largest command, between the means of two curves: nearer curves are nearly the same
 SPEEDS = (0.25, 0.5, 0.75, 1.0)  # speeds of the linear models, as parts of the largest steady speed
 COURSE_SHARE = 0.75  # speed at which the stability on course is reported, as a part of the highest one in the data
 SPEEDS_OF_DAMPING = 101  # speeds at which the damping of sway is computed
+BEYOND = 1e-3  # of the range of the commands: a side that is less beyond the data counts as inside
+RANGE_STEPS = 4  # largest number of searches for the range of the mean command in which both sides are in the data
 COMMAND_STEP = 0.1  # size of the steps of the command, as a part of the largest command
 Z95 = 1.96  # half the width of a 95 % interval in standard errors
 UNKNOWN_GAIN = float(np.log(np.sqrt(2.0)))  # standard error of the logarithm of a gain that is unknown: 3 dB
@@ -269,6 +273,9 @@ def steady_curves(
 ) -> list[SteadyCurve]:
     """Return the steady speed on a straight course, and the steady turn rate, of a vehicle model over its commands.
 
+    Two sides hold the straight course: their difference is that at which the boat does not turn, and their mean is the
+    command. A mean at which a side would be beyond the data is left out.
+
     Parameters
     ----------
     model : Model
@@ -279,7 +286,7 @@ def steady_curves(
         Covariance of the estimates.
     means : sequence of float, optional
         Means of both sides in turns, as parts of the largest command. None: zero, half of the largest command, and the
-        mean with the largest difference of both sides in the data, if it is another one.
+        mean with the largest difference of both sides in the data, if it is clearly another one.
     points : int
         Number of commands of each curve, which are evenly spaced. The curve of the speed has zero in addition.
     conditions : mapping, optional
@@ -356,17 +363,25 @@ class Drives:
         """Return the means of both sides for the curves of turns: zero, half of the largest command, and the widest.
 
         The widest is the mean of one side at its largest and the other side at its smallest value, where both differ
-        most. It is left out if the other two means have as large a difference.
+        most. It is left out if the other two means have as large a difference, or if it is so near one
+        of them that both curves are nearly the same.
         """
         found = [part * self.high for part in MEANS]
         widest = max((0.5 * (self.left[1] + self.right[0]), 0.5 * (self.left[0] + self.right[1])), key=self._largest)
         gained = self._largest(widest) > (1.0 + LEAST_GAIN) * max(map(self._largest, found))
-        return [*found, widest] if gained else found
+        apart = min(abs(mean - widest) for mean in found) > LEAST_DISTANCE * self.high
+        return [*found, widest] if gained and apart else found
 
     def _largest(self, mean: float) -> float:
         """Return the largest half difference of both sides with this mean, in either direction."""
         low, high = self.reach(mean)
         return max(-low, high)
+
+    def beyond(self, mean: Array, difference: Array) -> Array:
+        """Return how far the inputs of a mean and a half difference (n,) are beyond the data; negative inside."""
+        sides = (mean + difference, self.left), (mean - difference, self.right)
+        beyond: Array = np.max([d for n, (low, high) in sides for d in (low - n, n - high)], axis=0)
+        return beyond
 
     def inputs(self, left: Array, right: Array) -> Array:
         """Return the inputs (n_rows, m) of the model for the commands of both sides (n_rows,)."""
@@ -386,16 +401,54 @@ def _common(ranges: Iterable[tuple[float, float]]) -> tuple[float, float]:
 def _straight(
     model: Model, known: ParameterCovariance, drives: Drives, points: int, conditions: Mapping[str, float]
 ) -> SteadyCurve:
-    """Return the steady forward speed over the command of both sides, with sway and yaw rate held at zero."""
+    """Return the steady forward speed over the mean command of both sides, whose difference holds the course.
+
+    A model without two sides, or without yaw rate, has sway and yaw rate held at zero.
+    """
     zero = [0.0] if drives.low < 0.0 < drives.high else []
     command = np.union1d(np.linspace(drives.low, drives.high, points), zero)
-    held = tuple(s.name for s in model.states if s.name in ("v", "r"))
-    u = drives.inputs(command, command)
-    found = steady_motion(model, u, known.names, known.covariance, held, conditions)
-    value, sd = found.of("u")
+    states = {s.name for s in model.states}
+    if not (drives.two_sided and "r" in states):
+        held = tuple(n for n in ("v", "r") if n in states)
+        u = drives.inputs(command, command)
+        value, sd = steady_motion(model, u, known.names, known.covariance, held, conditions).of("u")
+        return SteadyCurve(
+            motion="straight", quantity="u", unit="m/s", inputs=drives.driving, command=command, value=value, sd=sd
+        )
+    turning = drives.inputs(np.array([2.0]), np.array([0.0]))[0] - drives.inputs(np.array([1.0]), np.array([1.0]))[0]
+    for _ in range(RANGE_STEPS):
+        u = drives.inputs(command, command)
+        found = straight_motion(model, u, turning, known.names, known.covariance, conditions)
+        beyond = drives.beyond(command, found.difference)
+        if not np.any(beyond > BEYOND * (drives.high - drives.low)):
+            break
+        low, high = _range_inside(command, beyond)
+        command = np.union1d(np.linspace(low, high, points), zero if low < 0.0 < high else [])
+    outside = drives.beyond(command, found.difference) > 10.0 * BEYOND * (drives.high - drives.low)
+    values = (np.where(outside, np.nan, a) for a in (found.speed, found.sd, found.difference, found.growth))
+    value, sd, difference, growth = values
     return SteadyCurve(
-        motion="straight", quantity="u", unit="m/s", inputs=drives.driving, command=command, value=value, sd=sd
-    )
+        motion="straight", quantity="u", unit="m/s", inputs=drives.driving, command=command, value=value, sd=sd,
+        difference=difference, growth=growth,
+    )  # fmt: skip
+
+
+def _range_inside(command: Array, beyond: Array) -> tuple[float, float]:
+    """Return the range of the mean commands at which both sides are within the data.
+
+    ``beyond`` (n,): how far the sides are beyond the data (`Drives.beyond`), NaN where it is unknown. The ends are
+    interpolated. Without a command inside, the range is that of all commands.
+    """
+    inside = np.flatnonzero(beyond <= 0.0)
+    if not inside.size:
+        return float(command[0]), float(command[-1])
+    ends = []
+    for k, after in ((inside[0], inside[0] - 1), (inside[-1], inside[-1] + 1)):
+        end = float(command[k])
+        if 0 <= after < command.size and beyond[after] > 0.0:
+            end += float((command[after] - command[k]) * -beyond[k] / (beyond[after] - beyond[k]))
+        ends.append(end)
+    return ends[0], ends[1]
 
 
 def _turn(

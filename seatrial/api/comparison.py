@@ -54,7 +54,10 @@ class Comparison(Shown):
 
     @property
     def answer(self) -> str:
-        """Best model over the first horizon, and its error over all channels against that of the first model.
+        """Best model over the first horizon, the models that are as good, and its error over all channels.
+
+        The error is compared with that of the first model, or with that of the nearest model that is worse. Of models
+        without a clear difference, the one with the fewest estimated parameters is named.
 
         For one model alone, it is the median fit of its channels, and the share of the errors inside its 95 %
         intervals.
@@ -65,8 +68,9 @@ class Comparison(Shown):
     def best(self) -> str:
         """Name of the model with the smallest prediction error over the first horizon.
 
-        Only models that are significantly better than the first one are considered: the 95 % interval of the change of
-        the prediction error excludes no change. If there are none, it is the first.
+        Only models are considered that are significantly better than another one, and than which no other one is
+        significantly better: the 95 % interval of the change of the prediction error excludes no change. If there are
+        none, all models are. The order of the models does not matter.
         """
         return next(m.name for m in self.result.models if m.label == self.result.best)
 

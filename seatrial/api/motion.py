@@ -386,7 +386,10 @@ class Steady(Shown):
 
     @property
     def straight(self) -> SteadyCurve | None:
-        """Steady speed [m/s] over the command of both sides; None if the model has no forward speed."""
+        """Steady speed [m/s] over the mean command of both sides; None if the model has no forward speed.
+
+        Its ``sides`` are the commands that hold the course.
+        """
         return next((c for c in self.curves if c.motion == "straight"), None)
 
     @property
@@ -404,6 +407,7 @@ class Steady(Shown):
         A speed or turn rate beyond those of the data is marked. A sentence says why a model that depends on heading or
         place has no steady turn rate, and another one that ± is one standard error.
         """
+        from seatrial.ident.report import held_course
         from seatrial.ident.results import standard_error_sentence
 
         words = {"u": ("speed", 1.0, "m/s"), "r": ("turn rate", np.degrees(1.0), "deg/s")}
@@ -416,12 +420,8 @@ class Steady(Shown):
                 _, curve = max(best, key=lambda x: float(x[0]))
                 k = int(np.nanargmax(size(curve.value)))
                 value = factor * size(curve.value)[k]
-                left = curve.mean + curve.command[k]
-                command = (
-                    f"{number(left, 2)}"
-                    if quantity == "u"
-                    else (f"{number(left, 2)} left and {number(curve.mean - curve.command[k], 2)} right")
-                )
+                left, right = (number(float(side[k]), 2) for side in curve.sides)
+                command = left if left == right else f"{left} left and {right} right"
                 sd = factor * curve.sd[k]
                 error = "" if np.isnan(sd) else f" ± {number(sd, 2)}"
                 beyond = ""
@@ -441,6 +441,14 @@ class Steady(Shown):
                 found.append(
                     f"The largest steady {name} is {number(value, 3)}{error} {unit}, at a {drive} of {command}{beyond}."
                 )
+        if self.straight is not None:
+            if held := held_course(self.straight):
+                found.append(f"{held}.")
+            if (self.straight.unstable & (self.straight.value > 0.0)).any():
+                slowest = np.min(self.straight.value[self.straight.unstable & (self.straight.value > 0.0)])
+                found.append(
+                    f"From {number(slowest, 2)} m/s ahead the boat leaves a straight course without a controller."
+                )
         if errors := standard_error_sentence(*found):
             found.append(errors)
         if not self.turns and any(len(c.inputs) > 1 for c in self.curves) and (why := turn_sentence(self.conditions)):
@@ -452,8 +460,9 @@ class Steady(Shown):
     def to_pandas(self) -> Any:
         """Return all curves as one ``pandas.DataFrame`` with a row for each command.
 
-        The columns are motion (straight or turn), mean (mean command of a turn), command, quantity (u or r), value, sd
-        (its standard error) and unit. A command without a stable steady motion has the value NaN.
+        The columns are motion (straight or turn), mean (mean command of a turn), command, left and right (commands of
+        the sides), quantity (u or r), value, sd (its standard error), unit, and unstable (whether the boat leaves a
+        straight course without a controller). A command without a steady motion has the value NaN.
 
         Raises
         ------
@@ -463,8 +472,8 @@ class Steady(Shown):
         pandas = import_library("pandas")
         frames = [
             pandas.DataFrame(
-                {"motion": c.motion, "mean": c.mean, "command": c.command, "quantity": c.quantity, "value": c.value}
-                | {"sd": c.sd, "unit": c.unit}
+                {"motion": c.motion, "mean": c.mean, "command": c.command, "left": c.sides[0], "right": c.sides[1]}
+                | {"quantity": c.quantity, "value": c.value, "sd": c.sd, "unit": c.unit, "unstable": c.unstable}
             )
             for c in self.curves
         ]
@@ -473,7 +482,8 @@ class Steady(Shown):
     def plot(self) -> Figure:
         """Return a figure of the steady speed and the steady turn rates over the command, with 95 % bands.
 
-        The line of the speed is dotted beyond the speeds of the data.
+        The line of the speed is dotted beyond the speeds of the data, and dashed where the boat leaves a straight
+        course without a controller.
         """
         from seatrial.ident.report import DASHES, LINES, Panel, band, degrees_for, line_trace, stacked, trusted_lines
 
@@ -482,7 +492,8 @@ class Steady(Shown):
         for c in self.curves:
             factor, unit = degrees_for(c.unit)
             what = "speed" if c.motion == "straight" else "turn rate"
-            how = f"the {drive} of both sides" if c.motion == "straight" else "half the difference of both sides"
+            straight = f"the mean {drive} of both sides" if len(c.inputs) > 1 else f"the {drive}"
+            how = straight if c.motion == "straight" else "half the difference of both sides"
             panel = panels.setdefault(c.motion, Panel(f"steady {what} [{unit}] over {how}"))
             k = sum(1 for trace in panel.traces if trace.get("name"))
             color, name = LINES[k % len(LINES)], what if c.motion == "straight" else f"mean {drive} {c.mean:.2g}"
@@ -490,7 +501,8 @@ class Steady(Shown):
                 area = band(c.command, factor * c.value, 1.96 * factor * c.sd, POINTS, color=color, gaps=True)
                 panel.traces.append({**area, "showlegend": False})
             if c.motion == "straight":
-                lines = trusted_lines(c.command, c.value, name, POINTS, self.speeds, color=color)
+                open_course = c.unstable & np.isfinite(c.value)
+                lines = trusted_lines(c.command, c.value, name, POINTS, self.speeds, color=color, unstable=open_course)
                 panel.traces += [{**line, "showlegend": len(lines) > 1} for line in lines]
             else:
                 dash = DASHES[k % len(DASHES)]
@@ -502,16 +514,18 @@ class Steady(Shown):
 
     def _content(self) -> Content:
         """Return the answer, and a table of about ten commands of each curve."""
-        rows = []
+        rows, two_sided = [], any(len(c.inputs) > 1 for c in self.curves)
         for c in self.curves:
             name = "speed" if c.motion == "straight" else f"turn rate, mean {number(c.mean, 2)}"
             for k in np.unique(np.linspace(0, c.command.size - 1, 11).round().astype(int)):
                 # A small value in the middle of the curve may have a large error in proportion, and still be known.
                 size = max(abs(c.value[k]), SMALL_PART * float(np.nanmax(np.abs(c.value))))
                 value = _determined(size, c.sd[k], number(c.value[k]))
-                rows.append((name, number(c.command[k], 3), value, number(c.sd[k], 2), c.unit))
+                sides = [number(side[k], 3) for side in c.sides] if two_sided else []
+                rows.append((name, number(c.command[k], 3), *sides, value, number(c.sd[k], 2), c.unit))
         drive = drive_word(self.curves[0].inputs) if self.curves else "command"
-        return Content(self.answer, (), ("", drive, "value", "s.e.", "unit"), rows)
+        sides = ["left", "right"] if two_sided else []
+        return Content(self.answer, (), ("", drive, *sides, "value", "s.e.", "unit"), rows)
 
     def __repr__(self) -> str:
         """Return a short text for the interpreter: number of curves, and `answer`."""
@@ -607,7 +621,10 @@ def steady(
     """Compute the steady speed and the steady turn rate of a fitted model over constant commands, without current.
 
     The commands are those of the fitted data, ahead and astern, of each side. Disturbance forces and the current are
-    left out. Speed and turn rate at a command without a stable steady motion are NaN. A model that depends on the
+    left out. On a straight course the command is the mean of both sides, and their difference is that at which the
+    boat does not turn: with thrusters of unequal strength, equal commands give no straight motion. Such a motion may
+    leave the course without a controller, which ``unstable`` of the curve says. A speed and a turn rate at a command
+    without a steady motion, or with one that is unstable in any other way, are NaN. A model that depends on the
     heading or the place, as by wind, has a steady speed for one heading and place (``at``), and no steady turn rate: a
     turning boat keeps neither of them.
 

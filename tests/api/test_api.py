@@ -1136,7 +1136,7 @@ def test_steady_motion_is_that_of_a_long_simulation(fit: st.FittedVehicle, tmp_p
     assert "<td>not determined</td>" in vague._repr_html_()
     assert np.isfinite(vague.to_pandas()["value"]).any()  # the numbers are kept
     assert steady._content().columns[1] == "shaft speed"
-    names = {"", "speed", "speed, beyond the data", f"mean shaft speed {turn.mean:.2g}"}
+    names = {"", "speed", "speed, unstable course", "speed, beyond the data", f"mean shaft speed {turn.mean:.2g}"}
     assert {trace["name"] for trace in steady.plot().data} == names
     assert {trace["name"] for trace in replace(steady, speeds=None).plot().data} == names - {"speed, beyond the data"}
     fastest = steady.straight.value[-1]

@@ -236,8 +236,9 @@ def best_section(result: ComparisonResult) -> Section:
     columns = (("channel", ""), *((kind_title(*kind), "") for kind in kinds))
     lead = (
         "The best model of each channel, and those that are not distinguishable from it, as the 95 % interval of the "
-        "ratio of both errors includes 1. A model that is better than all others is bold. No interval: the data have "
-        "fewer than four independent blocks of time, so nothing is known about the difference."
+        "ratio of both errors includes 1. A model that is better than all others is bold. Unclear: not "
+        "shown to be worse, although a model with a smaller error is, because the errors vary much in time. No "
+        "interval: the data have fewer than four independent blocks of time, so nothing is known about the difference."
     )
     return Section("best", "Which model is better", [Table(columns, rows)] if rows else [], lead)
 
@@ -246,7 +247,8 @@ def _best_cell(row: ComparedChannel | None) -> Cell:
     """Return the table cell with the labels of the best models of a channel, as ``(a) or (b)``; a dash without any.
 
     It is ``all`` if there are more than two models and all are equally good, and names no model if no ratio to the
-    smallest error has an interval: ``undecided; no interval: 2 blocks``.
+    smallest error has an interval: ``undecided; no interval: 2 blocks``. Models without a verdict whose errors are
+    larger than that of a worse one are unclear: ``(b); unclear: (a)``.
     """
     if row is None or row.best is None:
         return Cell("–")
@@ -254,6 +256,8 @@ def _best_cell(row: ComparedChannel | None) -> Cell:
         return Cell(f"undecided; {verdict_words(row.unproven[0])}")
     best = [row.best, *(label for label in row.not_worse if label != row.best)]
     words = "all" if row.all_equal else " or ".join(f"({label})" for label in best)
+    if row.unclear:
+        words += f"; unclear: {' '.join(f'({label})' for label in row.unclear)}"
     if row.unproven:
         return Cell(f"{words}; {verdict_words(row.unproven[0])}")
     return Cell(words, "strong" if row.not_worse == (row.best,) and len(row.errors) > 1 else "")

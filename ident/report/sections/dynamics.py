@@ -29,7 +29,6 @@ SHORTEST = (
     "≤: the shortest lag of a state of the model. A lag with a shorter time constant in the table of parameters, such "
     "as T_n = 0, has this pole too, and less part in the motion; with zero it has none."
 )
-DOUBLING = np.log(2.0)  # time in which an unstable motion doubles, in time constants
 
 
 def section(canvas: Canvas, dynamics: Dynamics | None) -> Section:
@@ -70,22 +69,44 @@ def _command(curve: SteadyCurve) -> str:
     names = formatting.bracket(unit) or ", part of full"
     if curve.motion == "turn":
         return f"half the difference of both sides{names}"
-    return f"{drive_word(curve.inputs)} of {'both sides' if len(curve.inputs) > 1 else 'the drive'}{names}"
+    if len(curve.inputs) > 1:
+        return f"mean {drive_word(curve.inputs)} of both sides{names}"
+    return f"{drive_word(curve.inputs)} of the drive{names}"
 
 
 def _straight_plot(canvas: Canvas, curve: SteadyCurve, speeds: tuple[float, float] | None) -> Plot:
     """Return the plot of the steady speed on a straight course over the command.
 
-    ``speeds`` are the smallest and the largest speed of the data [m/s]; the line is dotted beyond. None: unknown.
+    ``speeds`` are the smallest and the largest speed of the data [m/s]; the line is dotted beyond. None: unknown. It is
+    dashed where the boat leaves the course without a controller.
     """
-    traces = [
-        drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS, gaps=True),
-        *drawing.trusted_lines(curve.command, curve.value, "speed", POINTS, speeds),
-    ]
-    beyond = len(traces) > 2
-    figure = drawing.single(traces, _command(curve), "speed [m/s]", hovermode="closest")
-    title = "Steady speed on a straight course" + ("; dotted: beyond the speeds of 98 % of the data" if beyond else "")
+    lines = drawing.trusted_lines(
+        curve.command, curve.value, "speed", POINTS, speeds, unstable=curve.unstable & np.isfinite(curve.value)
+    )
+    band = drawing.band(curve.command, curve.value, drawing.Z95 * np.nan_to_num(curve.sd), POINTS, gaps=True)
+    figure = drawing.single([band, *lines], _command(curve), "speed [m/s]", hovermode="closest")
+    title = "Steady speed on a straight course"
+    if words := held_course(curve):
+        title += f". {words}"
+    dashes = {line["line"].get("dash") for line in lines}
+    if "dash" in dashes:
+        title += "; dashed: the boat leaves the course without a controller"
+    if "dot" in dashes:
+        title += "; dotted: beyond the speeds of 98 % of the data"
     return canvas.plot(figure, 320, f"Steady speed against {drive_word(curve.inputs)}", title)
+
+
+def held_course(curve: SteadyCurve) -> str:
+    """Return the words on the inputs that hold a straight course, if they differ; otherwise an empty text."""
+    k = curve.unequal
+    if k is None:
+        return ""
+    left, right = (formatting.plain(float(side[k]), 2) for side in curve.sides)
+    drive = drive_word(curve.inputs)
+    return (
+        f"With equal {drive}s the boat turns: unequal ones hold the course, for example {left} left and {right} right "
+        f"at {formatting.plain(float(curve.value[k]), 2)} m/s"
+    )
 
 
 def _turn_plot(canvas: Canvas, curves: Sequence[SteadyCurve], rates: tuple[float, float] | None) -> Plot:
@@ -145,7 +166,7 @@ def _pole_blocks(dynamics: Dynamics, drive: str) -> list[Any]:
             constant = f"{formatting.plain(float(-1.0 / real))} s" if real < 0.0 else "–"
             if not imaginary and real and is_shortest_lag(float(-1.0 / real)):
                 any_shortest, constant = True, f"≤ {constant}"
-            grows = f"unstable: doubles in {formatting.plain(float(DOUBLING / real), 2)} s" if real > 0.0 else ""
+            grows = f"unstable: grows by a factor of e in {formatting.plain(float(1.0 / real))} s" if real > 0.0 else ""
             if is_undetermined(float(real), float(error)):
                 any_lost, constant, grows = True, "not determined", f"stability {NOT_SHOWN}" if real > 0.0 else ""
             any_growing = any_growing or bool(grows)

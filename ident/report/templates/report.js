@@ -65,7 +65,9 @@
   }
   dark.addEventListener("change", () => theme(dark.matches));
 
-  // figures are drawn shortly before they come into view; those in hidden tabs when their tab opens
+  // Figures are drawn shortly before they come into view, and all others of open tabs soon after the page has loaded:
+  // headless browsers, which take pictures of a page, may report no figure as visible. Those in hidden tabs are drawn
+  // when their tab opens.
   const watcher = new IntersectionObserver(
     (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => {
       watcher.unobserve(entry.target);
@@ -74,6 +76,15 @@
     { rootMargin: "600px" },
   );
   places.forEach((place) => watcher.observe(place));
+  // one figure at a time, so that the page stays responsive
+  function drawRest() {
+    const place = places.find((each) => !each.dataset.drawn && each.offsetParent);
+    if (!place) return;
+    watcher.unobserve(place);
+    draw(place);
+    setTimeout(drawRest);
+  }
+  window.addEventListener("load", () => setTimeout(drawRest, 100));
 
   function choose(tab) {
     for (const other of tab.parentElement.children) {
@@ -82,7 +93,9 @@
       other.tabIndex = chosen ? 0 : -1;
       const panel = document.getElementById(other.getAttribute("aria-controls"));
       panel.classList.toggle("away", !chosen);
-      if (chosen) resize(panel);
+      if (!chosen) continue;
+      places.filter((place) => panel.contains(place)).forEach(draw);
+      resize(panel);
     }
   }
   // at once: Plotly.Plots.resize waits a tenth of a second, and by then the page is printed

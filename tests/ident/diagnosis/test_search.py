@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.diagnosis import search
@@ -296,6 +297,29 @@ def test_headline_lists_several_ambiguous_effects_as_several(first: str) -> None
     assert what_is_lacking(found, fell=True) == f"{begin} that resemble: {listed}"
 
 
+@pytest.mark.parametrize(("value", "named"), [(0.6, False), (2.5, True)])
+@pytest.mark.parametrize("first", [True, False])
+def test_curve_without_a_significant_value_is_not_in_the_headline(value: float, named: bool, first: bool) -> None:
+    """All values of a curve were within 0.6 standard errors of zero, and the headline said that the model lacks it."""
+    own = tuple(Parameter(f"g_{k}", 0.0, "N", "a value of the curve") for k in range(2))
+    curve = Effect("unknown X(u)", "a curve of u", {}, parameters=own, kind=EffectKind.NONPARAMETRIC)
+    lag = Effect("cell-lag", "a lag", {})
+    chosen = [Refit(e, blank(), 90.0, 1, 82.0, 30.0, 4.0) for e in ((curve, lag) if first else (lag, curve))]
+    judged = {n: EffectAttribution(n, k) for n, k in ((curve.name, "nonparametric"), (lag.name, "ambiguous"))}  # type: ignore[arg-type]
+    fit = blank(flags=(), estimate=lambda _, name: (0.1 if name == "g_0" else -value, 1.0))
+    found = Diagnosis(
+        blank(), blank(fit=fit), tuple(Round((), (), (c,), c) for c in chosen), (), (),
+        tuple(judged[c.effect.name] for c in chosen),
+        tuple(EffectImportance(c.effect.name, 90.0, 1.3, 41.2, 5.34) for c in chosen),
+    )  # fmt: skip
+    said = what_is_lacking(found, fell=True)
+    assert ("a curve of u" in said) is named
+    assert "a lag" in said
+    answer = diagnosis_answer(found, None, 10.0)
+    beside = "The model also has a curve of u, but none of its values differs significantly from zero"
+    assert (beside in answer) is not named
+
+
 @pytest.mark.parametrize(("criterion", "named"), [(80.0, True), (70.0, False)])
 def test_headline_names_the_rival_that_explains_the_data_as_well(criterion: float, named: bool) -> None:
     chosen, rival, curve = (
@@ -506,7 +530,45 @@ def test_the_logs_of_validation_join_the_others_in_the_next_command(command: str
     begin = "seatrial ident diagnose "
     assert command_without_validation(f"{begin}{command}") == f"{begin}{again}"
     assert command_without_validation(f"{begin}a.toml 1 --out d") == ""
-    assert command_without_validation("st.diagnose(fit, ['1.mcap'], validate=['2.mcap'])") == ""
+
+
+@pytest.mark.parametrize(
+    ("call", "again"),
+    [
+        ("'vehicle', ['1.mcap'], validate=['2.mcap'], rate=5.0", "'vehicle', ['1.mcap', '2.mcap'], rate=5.0"),
+        ("seatrial.fit(['1.mcap'], validate=['2.mcap']), ['1.mcap'], validate=['2.mcap']", "fit, ['1.mcap', '2.mcap']"),
+        ("'vehicle', ['1.mcap']", ""),
+        ("'vehicle', [25 logs], validate=['2.mcap']", ""),
+    ],
+)
+def test_the_logs_of_validation_join_the_others_in_the_next_call(call: str, again: str) -> None:
+    said = f"seatrial.diagnose({again})" if again else ""
+    assert command_without_validation(f"seatrial.diagnose({call})") == said
+
+
+def test_an_open_verdict_of_the_validation_logs_has_the_command_that_decides() -> None:
+    """The answer had a found effect, no significant change of the error, and no command for the next step."""
+    effect = Effect("reverse-mismatch", "a loss in reverse", {})
+    chosen = Refit(effect, blank(), 90.0, 1, 82.0, 30.0, 4.0)
+    found = Diagnosis(
+        blank(), blank(cross_validated=False, fit=blank(flags=())), (Round((), (), (chosen,), chosen),), (), (),
+        (EffectAttribution(effect.name, "identified"),), (EffectImportance(effect.name, 90.0, 1.02, 137.0, 3.7),),
+    )  # fmt: skip
+    change = parts.PredictionChangeRow(
+        role="validation", ratio=0.71, low=0.48, high=1.04, verdict="unchanged", better=(), worse=()
+    )
+    again = "seatrial ident diagnose vehicle/model.toml 1.mcap 2.mcap 3.mcap --out diagnosis-all"
+    said = (
+        "So the effect is found in the data, but these validation logs are too few to decide if it improves the "
+        f"prediction. Next, diagnose all logs of the boat together, without --validate: `{again}`."
+    )
+    assert said in diagnosis_answer(found, change, 10.0, again=again)
+    fell = structs.replace(change, high=0.9, verdict="fell")
+    assert again not in diagnosis_answer(found, fell, 10.0, again=again)
+    narrow = structs.replace(change, ratio=0.99, low=0.97, high=1.01)  # the prediction is as good: that is decided
+    assert again not in diagnosis_answer(found, narrow, 10.0, again=again)
+    blocks = replace(found, after=blank(cross_validated=True, fit=blank(flags=())))
+    assert "Next, diagnose all logs" not in diagnosis_answer(blocks, change, 10.0, again=again)
 
 
 def test_a_curve_of_two_velocities_is_told_once_and_has_a_page() -> None:

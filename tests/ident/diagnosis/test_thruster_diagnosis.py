@@ -203,8 +203,11 @@ def test_diagnose_command_finds_a_hidden_bench_effect(tmp_path: Path) -> None:
     result = json.loads((out / "result.json").read_text())
     assert result["kind"] == "diagnosis"
     assert result["answer"].startswith(
-        "The model lacks the loss of thrust by recirculation in the basin. Prediction 1 s ahead on"
+        "The model lacks the loss of thrust by recirculation in the basin (at steady full"
     )
+    assert "). Prediction 1 s ahead on" in result["answer"]
+    assert "The model with the added effects predicts the force within " in result["answer"]
+    assert "from the command alone: its thrust curve can be used." in result["answer"]
     assert (result["prediction"]["verdict"] == "fell") == ("error falls by" in result["answer"])
     assert {(f["force"], f["unit"]) for f in result["residual_forces"]} == {("F", "N"), ("n_dot", "1/s")}
     assert {i["name"] for i in result["inputs"]} == {"n_cmd"}

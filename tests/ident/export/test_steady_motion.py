@@ -10,16 +10,20 @@ import numpy as np
 import pytest
 
 from seatrial.ident.data.record import Channel, build_record
+from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.export.formats import export
 from seatrial.ident.export.rates import Rates
-from seatrial.ident.export.steady_motion import steady_motion
+from seatrial.ident.export.steady_motion import steady_motion, straight_motion
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
+from tests.ident.exported import saved, simulate_python
 
 VALUES = {"m_u": 37.0, "m_v": 47.0, "m_r": 9.7, "d_u": 2.0, "d_uu": 25.0, "d_v": 50.0, "d_vv": 20.0, "d_r": 8.0}
 VALUES |= {"d_rr": 6.2, "c1": 40.0, "c2": 1.0, "V_x": 0.2, "V_y": -0.1}
 STRAIGHT = ("v", "r")
+TURNING = np.array([1.0, -1.0])  # left ahead, right astern
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +94,65 @@ def test_inputs_without_a_steady_motion_are_gaps(model: Model) -> None:
     wild = model.with_values({"d_u": 0.0, "d_uu": 0.0})
     found, _ = steady_motion(wild, np.array([[0.5, 0.5]]), held=STRAIGHT).of("u")
     assert np.isnan(found).all()
+
+
+def test_sides_of_a_straight_course_keep_it_in_the_exported_model(model: Model) -> None:
+    """The right thruster loses 45 % of its thrust in reverse: equal commands astern turn the boat."""
+    lossy = (model + catalogue()["reverse-mismatch"]).with_values({"rho_left": 0.0, "rho_right": 0.45})
+    lossy = lossy.with_values({"V_x": 0.0, "V_y": 0.0})
+    mean = np.array([-0.8, -0.4, 0.5])
+    found = straight_motion(lossy, np.stack([mean, mean], axis=1), TURNING)
+    assert found.difference[2] == pytest.approx(0.0, abs=1e-6)
+    # The thrust of both sides is equal: the left one turns slower.
+    left, right = mean + found.difference, mean - found.difference
+    np.testing.assert_allclose(left[:2] / right[:2], math.sqrt(0.55), rtol=1e-6)
+    one_side = VALUES["c1"] * left[0] * abs(left[0]) + VALUES["c2"] * left[0] ** 2
+    thrust = math.copysign(math.sqrt(abs(one_side) / (VALUES["c1"] - VALUES["c2"])), one_side)
+    assert found.speed[0] == pytest.approx(speed(thrust, VALUES), rel=1e-6)
+    content = saved(lossy)
+    text = str(export(content, "python"))
+    states = [s.name for s in lossy.states]
+    kept = [states.index(n) for n in ("u", "v", "r") if n in states]
+    for k in range(mean.size):
+        x = np.zeros(len(states))
+        x[states.index("u")] = found.speed[k]
+        at = np.array([left[k], right[k]])
+        run, _ = simulate_python(text, x[: _exported_states(text)], at, np.tile(at, (50, 1)), 0.1)
+        np.testing.assert_allclose(run[:, kept], np.tile([found.speed[k], 0.0, 0.0], (50, 1)), atol=1e-5)
+    # Equal commands astern do not: the boat turns.
+    x[states.index("u")] = -0.9
+    equal = np.full(2, mean[0])
+    run, _ = simulate_python(text, x[: _exported_states(text)], equal, np.tile(equal, (50, 1)), 0.1)
+    assert abs(run[-1, kept[2]]) > 0.1
+
+
+def _exported_states(text: str) -> int:
+    """Return the number of states of a Python export."""
+    space: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(text, "boat.py", "exec"), space)
+    return len(space["STATES"])
+
+
+def test_growth_of_a_straight_course_is_that_of_the_free_boat(model: Model) -> None:
+    """The Munk moment makes a slender boat leave its course: the speed is found all the same, with a growth."""
+    n = np.array([[0.7, 0.7]])
+    stable, unstable = (straight_motion(model.with_values({"d_v": d, "d_r": d}), n, TURNING) for d in (50.0, 1.0))
+    assert stable.growth[0] < 0.0 < unstable.growth[0]
+    assert stable.speed[0] == pytest.approx(unstable.speed[0], rel=1e-9)
+
+
+def test_straight_course_beside_a_yaw_moment_at_zero_command_has_a_difference(model: Model) -> None:
+    """At zero command a difference of the sides has no first-order effect on the moment that holds the course."""
+    biased = (model + catalogue()["yaw-bias"]).with_values({"N_0": 1.0})
+    found = straight_motion(biased, np.array([[0.0, 0.0], [0.5, 0.5]]), TURNING)
+    assert np.isfinite(found.speed).all()
+    assert (found.difference < -1e-3).all()
+
+
+def test_errors_of_a_straight_course_are_the_spread_of_sampled_models(model: Model) -> None:
+    """The standard error includes that of the difference, which follows the estimated loss."""
+    lossy = (model + catalogue()["reverse-mismatch"]).with_values({"rho_left": 0.0, "rho_right": 0.45})
+    n = np.array([[-0.8, -0.8]])
+    sd = straight_motion(lossy, n, TURNING, ("rho_right",), np.array([[0.02**2]])).sd[0]
+    either = [straight_motion(lossy.with_values({"rho_right": 0.45 + d}), n, TURNING).speed[0] for d in (0.02, -0.02)]
+    assert sd == pytest.approx(0.5 * abs(either[0] - either[1]), rel=1e-3)

@@ -115,6 +115,28 @@ def test_browser_draws_every_figure_without_errors(kind: str) -> None:
         assert len(drawn) == len(page.figures())
 
 
+NEVER_VISIBLE = "<script>IntersectionObserver = class { observe() {} unobserve() {} };</script>"
+OPEN_TABS = """<script>addEventListener("load", () => setTimeout(() => {
+  document.querySelectorAll("[role=tab][aria-selected=false]").forEach((tab) => tab.click());
+}, 3000));</script>"""
+
+
+@pytest.mark.parametrize("tabs", [False, True])
+def test_figures_are_drawn_without_being_reported_as_visible(tabs: bool, tmp_path: Path) -> None:
+    """Pictures of a page by a headless browser had empty figures: its observer of visible parts did not report them.
+
+    Figures of hidden tabs are drawn when their tab opens.
+    """
+    text = seen("many tabs")[0].read_text(encoding="utf-8")
+    page = tmp_path / "page.html"
+    page.write_text(text.replace("<head>", f"<head>{NEVER_VISIBLE}{OPEN_TABS if tabs else ''}", 1), encoding="utf-8")
+    assert NEVER_VISIBLE in page.read_text(encoding="utf-8")
+    found = Page(chromium(tmp_path, "--window-size=1400,600", "--dump-dom", page.as_uri()).stdout)
+    drawn = sum("js-plotly-plot" in str(attrs.get("class")) for _, attrs in found.tags)
+    assert (drawn == len(found.figures())) is tabs
+    assert drawn > 0.3 * len(found.figures())
+
+
 @pytest.mark.parametrize("kind", [*KINDS, "long titles", "many tabs", "one figure"])
 def test_no_report_is_wider_than_a_phone(kind: str) -> None:
     _, page, _ = seen(kind)

@@ -73,12 +73,29 @@ def test_steady_curves_have_their_units_and_bands(shown: Page) -> None:
     np.testing.assert_allclose(numbers(speed["y"]), np.where(y < 0.61, y, np.nan), atol=1e-3)
     np.testing.assert_allclose(numbers(beyond["y"]), np.where(y > 0.59, y, np.nan), atol=1e-3)
     assert beyond["line"]["dash"] == "dot"
+    assert "dashed: the boat leaves the course" not in shown.words
     assert "dotted: beyond the speeds of 98 % of the data" in shown.words
     assert np.nanmax(numbers(band["y"])) == pytest.approx(1.0 + 0.196, abs=1e-3)
     place = next(a for _, a in shown.tags if str(a.get("aria-label")).startswith("Steady turn rate"))
     assert np.nanmax(numbers(shown.figures()[str(place["id"])]["data"][1]["y"])) == pytest.approx(
         np.degrees(0.5), abs=0.01
     )
+
+
+def test_speeds_at_which_the_boat_leaves_its_course_are_dashed() -> None:
+    found = dynamics()
+    n = found.steady[0].command
+    straight = msgspec.structs.replace(found.steady[0], difference=0.0 * n, growth=n - 0.2)
+    found = msgspec.structs.replace(found, steady=(straight, found.steady[1]))
+    own = Page(page.render(msgspec.structs.replace(loaded(KINDS["diagnosis"]()), dynamics=found)))
+    place = next(a for _, a in own.tags if a.get("aria-label") == "Steady speed against shaft speed")
+    _, speed, unstable, beyond = own.figures()[str(place["id"])]["data"]
+    y = np.linspace(-1.0, 1.0, 81)
+    np.testing.assert_array_equal(np.isfinite(numbers(speed["y"])), y < 0.41)
+    np.testing.assert_array_equal(np.isfinite(numbers(unstable["y"])), (y > 0.39) & (y < 0.61))
+    np.testing.assert_array_equal(np.isfinite(numbers(beyond["y"])), y > 0.59)
+    assert [unstable["line"]["dash"], beyond["line"]["dash"]] == ["dash", "dot"]
+    assert "dashed: the boat leaves the course without a controller" in own.words
 
 
 def test_turn_rates_beyond_the_data_are_marked() -> None:
@@ -116,7 +133,7 @@ def test_step_response_has_its_band(shown: Page) -> None:
 def test_poles_are_in_words(shown: Page) -> None:
     words = " ".join(shown.words.split())
     assert "0.5 m/s, shaft speed 0.250 −0.500 ± 2.00 j 2.00 s" in words
-    assert "1 m/s, shaft speed n_left 0.500, n_right 0.510 0.100 – unstable: doubles in 6.9 s" in words
+    assert "1 m/s, shaft speed n_left 0.500, n_right 0.510 0.100 – unstable: grows by a factor of e in 10.0 s" in words
     assert "From 1 m/s on, the boat does not hold a straight course" in words
     assert "With the dead time: 120 ms of n_left" in words
     assert (
@@ -137,7 +154,7 @@ def test_poles_have_the_states_that_take_part() -> None:
 
     replaced = msgspec.structs.replace
     assert "time constant mainly stability 0.5 m/s, shaft speed 0.250 −0.500 ± 2.00 j 2.00 s r, v" in words(named)
-    assert "r, v unstable: doubles in 6.9 s −2.00 0.500 s n_left" in words(named)
+    assert "r, v unstable: grows by a factor of e in 10.0 s −2.00 0.500 s n_left" in words(named)
     assert "time constant stability 0.5 m/s" in words(found.points)
     assert "time constant mainly 0.5 m/s" in words(named[:1])
 

@@ -49,3 +49,10 @@ def test_the_range_is_that_of_the_measured_samples_without_outliers() -> None:
         model=SimpleNamespace(outputs=outputs),
     )  # fmt: skip
     assert _measured_ranges(evaluation) == {"force": pytest.approx(49.0, abs=0.1)}
+
+
+def test_thrust_curve_of_a_model_with_added_effects_can_be_used_too() -> None:
+    """A diagnosis that added the filter of the load cell did not say it, although the errors were below 1 %."""
+    said = _usable_thrust_sentence(errors(0.5, 0.0003), RANGES, doubted=False, with_effects=True)
+    assert said.startswith("The model with the added effects predicts the force within ")
+    assert said.endswith("from the command alone: its thrust curve can be used.")

@@ -307,7 +307,7 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
     nearly = change_sentence(msgspec.structs.replace(same, ratio=0.57, low=0.32, high=1.01), 10.0)
     assert nearly.endswith(
         "(-43 %; 95 % interval: -68 to +1 %). The error is probably smaller with the effects: a shorter horizon "
-        "(--horizon 5) or more data can decide."
+        "(--horizon 5) or more logs can decide."
     )
     for ratio, high in ((0.57, 1.06), (0.97, 1.01)):  # an end far from no change, and a small change
         other = msgspec.structs.replace(same, ratio=ratio, low=0.3, high=high)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import re
 import shutil
@@ -41,10 +42,13 @@ from seatrial.ident.report.blocks import Cell
 from seatrial.ident.report.formatting import with_error
 from seatrial.ident.report.page import render
 from seatrial.ident.report.sections.comparison import _best_cell, _error_cells, overlay_panels
-from seatrial.ident.report.terminal import SHOWN_NOTES, compared_tables
+from seatrial.ident.report.terminal import SHOWN_NOTES, _best_words, compared_tables
 from seatrial.ident.results import (
     OTHER_SURROUNDINGS,
     SIZE_NOT_SIGNIFICANT,
+    ComparedError,
+    ComparedPair,
+    ComparedRatio,
     ComparisonResult,
     CourseStability,
     LogScore,
@@ -57,7 +61,6 @@ from seatrial.ident.validation.prediction_errors import PredictionErrors
 from seatrial.ident.workflows import compare
 from seatrial.ident.workflows.compare import (
     CompareRequest,
-    _indistinguishable,
     _limited_warnings,
     block_of_comparison,
     compare_models,
@@ -797,9 +800,9 @@ def test_answer_without_a_significant_difference(compared: ComparisonResult) -> 
     third = msgspec.structs.replace(
         second, label="c", name="poor", changes=(msgspec.structs.replace(change, against_reference=poor),)
     )
-    assert comparison_answer(msgspec.structs.replace(compared, models=(first, again, third))) == (
-        "No model is significantly better than (a) good 2 s ahead. Significantly worse than (a): (c) poor (error 4.38 "
-        "times as large)."
+    assert comparison_answer(msgspec.structs.replace(compared, models=(first, again, third))).startswith(
+        "Best 2 s ahead: (a) good. The error of (c) over all channels is 338 % larger than that of (a) (95 %: +190 to "
+        "+560 %)."
     )
     short = msgspec.structs.replace(same, low=None, high=None, blocks=3, verdict="no-interval")
     again = msgspec.structs.replace(second, changes=(msgspec.structs.replace(change, against_reference=short),))
@@ -829,15 +832,76 @@ def test_effects_whose_size_is_not_significant_are_named(size: float, told: bool
         assert SIZE_NOT_SIGNIFICANT in SHOWN_NOTES
 
 
-@pytest.mark.parametrize(("as_good", "words"), [((("b", "c"), ("c", "b")), "(b) second"), ((("b", "c"), ("c",)), "")])
-def test_answer_names_the_models_that_no_channel_distinguishes_from_the_best(
-    as_good: Sequence[tuple[str, ...]], words: str
-) -> None:
-    models = [SimpleNamespace(label=label, name=name) for label, name in (("a", "first"), ("b", "second"), ("c", "d"))]
-    rows = [SimpleNamespace(seconds=10.0, best="c", not_worse=labels) for labels in as_good]
-    rows.append(SimpleNamespace(seconds=3.0, best="c", not_worse=("c",)))
-    result = cast(ComparisonResult, SimpleNamespace(models=models, channels=rows, best="c"))
-    assert _indistinguishable(result, 10.0) == words
+RATIOS = {"vehicle": 1.0, "rm": 0.69, "rmwind": 0.8, "diagnosis": 0.82, "command": 1.02}
+FREE = {"vehicle": 16, "rm": 18, "rmwind": 20, "diagnosis": 39, "command": 18}
+
+
+def _in_order(compared: ComparisonResult, order: Sequence[str]) -> ComparisonResult:
+    """Return a comparison of models with the errors `RATIOS`, of which ratios below 0.75 are significant."""
+    template = compared.models[1].changes[1]
+
+    def ratio(name: str, other: str) -> ComparedRatio:
+        size = RATIOS[name] / RATIOS[other]
+        verdict: Any = "better" if size < 0.75 else "worse" if size > 1.0 / 0.75 else "indistinguishable"
+        return ComparedRatio(ratio=size, low=0.8 * size, high=1.2 * size, blocks=9, verdict=verdict)
+
+    letters = dict(zip(order, "abcde", strict=False))
+    models = [
+        msgspec.structs.replace(
+            compared.models[min(k, 1)], label=letters[name], name=name, n_free=FREE[name],
+            changes=() if k == 0 else (msgspec.structs.replace(template, against_reference=ratio(name, order[0])),),
+        )
+        for k, name in enumerate(order)
+    ]  # fmt: skip
+    pairs = [
+        ComparedPair(model=letters[b], other=letters[a], seconds=2.0, ratio=ratio(b, a))
+        for a, b in itertools.combinations(order[1:], 2)
+    ]
+    return msgspec.structs.replace(compared, horizons=(2.0,), models=tuple(models), pairs=tuple(pairs))
+
+
+@pytest.mark.parametrize(
+    "order", [("vehicle", "rm", "rmwind", "diagnosis", "command"), ("rm", "command", "diagnosis", "rmwind", "vehicle")]
+)
+def test_answer_does_not_depend_on_the_order_of_the_models(compared: ComparisonResult, order: Sequence[str]) -> None:
+    """The best model was tested only against the first one, so that those that are as good were not named."""
+    result = _in_order(compared, order)
+    of = {m.name: f"({m.label}) {m.name}" for m in result.models}
+    answer = comparison_answer(result)
+    equal = [of[name] for name in order if name in ("rmwind", "diagnosis")]
+    expected = f"Best 2 s ahead: {of['rm']}, without a clear difference over all channels from {' and '.join(equal)}. "
+    assert answer.startswith(expected)
+    assert f"without a clear difference is {of['rm']}: it has 18 estimated parameters, and not 20 and 39." in answer
+    for name in ("vehicle", "command"):  # both are said to be worse, in either order
+        assert of[name].split()[0] in answer.removeprefix(expected)
+    assert result.models[order.index("rm")].label == result.best
+    assert list(result.verdicts(result.best).values()).count("better") == 2
+
+
+def test_simpler_of_two_models_without_a_clear_difference_is_named(compared: ComparisonResult) -> None:
+    answer = comparison_answer(_in_order(compared, ("rm", "diagnosis")))
+    assert answer.startswith("No clear difference between (a) rm and (b) diagnosis 2 s ahead. The error of (b) over")
+    assert answer.endswith(
+        " The simpler of these without a clear difference is (a) rm: it has 18 estimated parameters, and not 39."
+    )
+    assert "simple" not in comparison_answer(_in_order(compared, ("rm", "vehicle")))  # one of them is better
+    three = comparison_answer(_in_order(compared, ("rmwind", "diagnosis", "vehicle")))
+    assert three.startswith("No model is significantly better than another one 2 s ahead. The smallest error over all")
+    assert "that of (a) rmwind." in three
+
+
+def test_models_with_larger_errors_than_a_worse_one_are_unclear(compared: ComparisonResult) -> None:
+    """A column had 44.5 and 46.7 deg as good as 26.8 deg, and left out 30.5 deg: wide intervals and a narrow one."""
+    verdicts = {"a": (44.5, "indistinguishable"), "b": (30.5, "worse"), "c": (26.8, ""), "d": (27.6, "")}
+    errors = []
+    for label, (rms, verdict) in verdicts.items():
+        size = rms / 26.8
+        against = ComparedRatio(ratio=size, low=0.9, high=3.0, blocks=9, verdict=verdict or "indistinguishable")  # type: ignore[arg-type]
+        errors.append(ComparedError(model=label, rms=rms, against_best=None if label == "c" else against))
+    row = msgspec.structs.replace(compared.channels[0], errors=tuple(errors), best="c")
+    assert (row.not_worse, row.unclear) == (("c", "d"), ("a",))
+    assert _best_words(row) == "c d; unclear: a"
+    assert _best_cell(row) == Cell("(c) or (d); unclear: (a)")
 
 
 def test_answer_names_a_model_with_a_smaller_error_but_without_a_verdict(compared: ComparisonResult) -> None:
@@ -848,7 +912,11 @@ def test_answer_names_a_model_with_a_smaller_error_but_without_a_verdict(compare
         of = msgspec.structs.replace(change.against_reference, ratio=ratio, low=0.5, high=1.1, verdict=verdict)
         changes = (msgspec.structs.replace(change, against_reference=of),)
         rows.append(msgspec.structs.replace(second, label=label, name=label, changes=changes))
-    answer = comparison_answer(msgspec.structs.replace(compared, models=(first, *rows)))
+    close = msgspec.structs.replace(
+        change.against_reference, ratio=0.98, low=0.7, high=1.3, verdict="indistinguishable"
+    )
+    pair = ComparedPair(model="c", other="b", seconds=2.0, ratio=close)
+    answer = comparison_answer(msgspec.structs.replace(compared, models=(first, *rows), pairs=(pair,)))
     assert answer.startswith("Best 2 s ahead: (b) b. ")
     assert (
         "The error of (c) c is smaller still, but differs too much between the blocks of time for a verdict." in answer

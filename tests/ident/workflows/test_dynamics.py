@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from rich.console import Console
 
 from seatrial.api.motion import Steady
@@ -257,6 +258,9 @@ def test_turns_use_the_range_of_each_side_ahead_and_astern(fitted: FittedModel) 
     for low in (-0.8, 0.0):
         equal = validity(fitted) | {"n_left": (low, 0.8), "n_right": (low, 0.8)}
         assert dynamics.Drives(fitted.fit.model, equal).means() == pytest.approx([0.0, 0.4])
+    # A curve with a mean of 0.01 would be nearly that of 0.
+    nearly = validity(fitted) | {"n_left": (-0.8, 0.82), "n_right": (-0.8, 0.82)}
+    assert dynamics.Drives(fitted.fit.model, nearly).means() == pytest.approx([0.0, 0.41])
 
 
 def words_of(found: Dynamics) -> str:
@@ -283,3 +287,27 @@ def test_boat_in_wind_has_no_steady_turn(fitted: FittedModel) -> None:
     words = words_of(still)
     assert "Computed from the model for still water, without disturbances, and within" in words
     assert "no steady turn" not in words
+
+
+def test_a_loss_of_one_side_astern_needs_unequal_sides_within_the_data(fitted: FittedModel) -> None:
+    ranges = validity(fitted) | {"n_left": (-0.6, 0.6), "n_right": (-0.6, 0.6)}
+    lossy = fitted.fit.model + catalogue()["reverse-mismatch"]
+    lossy = lossy.with_values({"rho_left": 0.0, "rho_right": 0.45})
+    known = dynamics.covariance_of(fitted.fit)
+    straight = dynamics.steady_curves(lossy, ranges, known)[0]
+    assert np.isfinite(straight.value).all()
+    left, right = straight.sides
+    # The weaker side reaches its limit, and the other one stays inside.
+    assert right[0] == pytest.approx(-0.6, abs=2e-3)
+    assert left[0] == pytest.approx(-0.6 * np.sqrt(0.55), rel=0.02)
+    assert left[-1] == pytest.approx(right[-1]) == pytest.approx(0.6)
+    assert straight.unequal == 0
+    steady = Steady((straight,))
+    assert "With equal shaft speeds the boat turns: unequal ones hold the course, for example −0.4" in steady.answer
+    frame = steady.to_pandas()
+    np.testing.assert_allclose(frame[["left", "right"]], np.stack([left, right], axis=1))
+    assert {"left", "right"} <= set(steady._content().columns)
+    found = dynamics_of(fitted)
+    assert found is not None
+    assert "unequal ones hold the course" in words_of(structs.replace(found, steady=(straight,)))
+    assert "unequal ones hold the course" not in words_of(found)
