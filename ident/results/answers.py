@@ -120,6 +120,7 @@ PASSED_TESTS = (
 SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a simulation leave out a large part
 SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 OTHER_SURROUNDINGS = "Effects of the surroundings of another day"  # begins the note of a comparison
+FIT_OF_ALL = "1 - geometric mean of error / standard deviation"  # of the channels: `PredictionFit`
 MOST_OF_ERROR = "A small part of the time has most of the squared error"  # begins the note of a comparison
 # Begins the note of a comparison on effects of some models
 SIZE_NOT_SIGNIFICANT = "Effects whose size is not significant in their own fit"
@@ -250,7 +251,8 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
     """Return sentences on the fit (per cent) over the horizon [s]: of all channels, and of the best and the worst one.
 
     The fits of the channels are those on the validation data, or on the estimation data if there are no others. The
-    best and worst are left out if fewer than two channels have a fit. If the prediction of some channels diverges, the
+    definition of the fit of all channels, and the best and worst channel, are left out if fewer than two channels have
+    a fit. If the prediction of some channels diverges, the
     sentence names only them. A 95 % interval wider than 50 per cent points is left out, and a further sentence gives
     the interval of time with the largest errors, if that is known.
     """
@@ -273,7 +275,9 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
             f"{largest.record}; look there for outliers, gaps, or a motion that the other logs lack (a higher speed)."
         )
     ends = [f"{_percent(each[n])} ({NAMES.get(n, n)})" for n in sorted(each, key=lambda n: -each[n])]
-    span = f" Best channel: {ends[0]}; worst: {ends[-1]}." if len(ends) > 1 else ""
+    span = ""
+    if len(ends) > 1:
+        span = f" It is {FIT_OF_ALL} of {len(ends)} channels. Best channel: {ends[0]}; worst: {ends[-1]}."
     return f"{begin}fit {_percent(prediction.fit)}{interval}.{cause}{span}"
 
 

@@ -349,8 +349,8 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     fitted = PredictionFit(role="estimation", fit=0.905, low=0.88, high=0.92)
     answer = vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
     assert answer.startswith(
-        f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %). Best "
-        "channel: 99 % (position north); worst: 10 % (surge specific force). "
+        f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %). It "
+        "is 1 - geometric mean of error / standard deviation of 2 channels. Best channel: 99 % (position north); worst: 10 % (surge specific force). "
     )
     worst = LargestErrorsRow(record="morning", begin=20.0, end=40.0, share=0.61)
     wide = PredictionFit(role="estimation", fit=0.78, low=-17.65, high=1.0, largest_errors=worst)
