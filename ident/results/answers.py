@@ -38,7 +38,7 @@ from seatrial.ident.estimation import (
     thrust_scale_of,
     unexcited_motion,
 )
-from seatrial.ident.model import Model, ModelKind, Parameter, ParameterOrigin, drive_word
+from seatrial.ident.model import Effect, Model, ModelKind, Parameter, ParameterOrigin, drive_word
 from seatrial.ident.models import ESTIMATOR_ERROR
 from seatrial.ident.numerics import NOT_SHOWN, UNSTABLE, is_undetermined
 from seatrial.ident.results.candidate_titles import candidate_title
@@ -1550,14 +1550,19 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
     return notes
 
 
-def straight_sentence(dynamics: Dynamics | None) -> str:
+def straight_sentence(
+    dynamics: Dynamics | None, fitted: FittedModel | None = None, causes: Iterable[Effect] = ()
+) -> str:
     """Return the sentence on a boat that turns although both sides have the same input: what a straight course needs.
 
     It has the inputs of the linear model in the middle of the speeds; in wind, or under a similar force, those of the
     two headings on which the sides differ most (`_straight_by_heading`). The text is empty for None, for a model
-    without an input for each side, and if the inputs differ by less than 3 % of their mean.
+    without an input for each side, and if the inputs differ by less than 3 % of their mean. It is also empty if
+    the data do not determine the size of one of the effects ``causes`` of the model ``fitted``: the inputs are then no
+    fact.
     """
-    if dynamics is None or not dynamics.points:
+    rough = fitted is not None and any(sizes_undetermined(e, fitted) for e in causes)
+    if dynamics is None or not dynamics.points or rough:
         return ""
     if dynamics.headings:
         return _straight_by_heading(dynamics.headings)
@@ -1569,6 +1574,15 @@ def straight_sentence(dynamics: Dynamics | None) -> str:
         f"With equal {drive_word(point.inputs)}s the boat turns to {pull.side}: to go straight at {point.speed:.3g} "
         f"m/s, it needs {pull.text}."
     )
+
+
+def sizes_undetermined(effect: Effect, fitted: FittedModel) -> bool:
+    """Return whether the data determine no size of an effect: each standard error is more than half of the estimate.
+
+    The sizes are the free parameters that are zero without the effect, and have one value for all runs.
+    """
+    sizes = [p for p in effect.parameters if p.free and p.value == 0.0 and not p.per_record]
+    return bool(sizes) and all(is_undetermined(*fitted.fit.estimate(p.name)) for p in sizes)
 
 
 class _Pull(NamedTuple):

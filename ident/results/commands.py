@@ -228,7 +228,8 @@ def vehicle_result(
     tested = any(a.name.startswith("F_w") for a in homogeneity)  # the wind force: its sentence follows
     wind = "" if tested else wind_sentence(made, fitted.fit.model)
     candidate = candidate_sentence(posed.uncertainty) if searchable else ""
-    sentences = [fit_answer, candidate, straight_sentence(dynamics), course, wind]
+    straight = straight_sentence(dynamics, fitted, (e for e in fitted.fit.model.effects if e.place == "environment"))
+    sentences = [fit_answer, candidate, straight, course, wind]
     sentences += [homogeneity_sentence(a) for a in homogeneity]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty, untested = posed.uncertainty, posed.assessment is None

@@ -855,7 +855,8 @@ def _evaluation_answer(result: ComparisonResult) -> str:
     """Return the conclusion of the evaluation of one model: fit and coverage over the first horizon.
 
     The fit of all channels is that of the answer of `seatrial ident vehicle` (`PredictionFit`). The coverage is of the
-    errors of all channels together. Channels whose intervals are too narrow or too wide by the test of calibration are named.
+    errors of all channels together. Channels whose intervals are too narrow or too wide by the test of
+    calibration are named.
     """
     seconds, label = result.horizons[0], result.models[0].label
     rows = [(row, e) for row in result.channels if row.seconds == seconds for e in row.errors if e.model == label]

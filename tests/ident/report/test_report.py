@@ -139,6 +139,15 @@ def test_importance_is_the_change_over_the_horizon(
     assert f"{card.importance} {card.importance_words}".startswith(shown)
 
 
+def test_attribution_of_a_card_is_a_list(small: dict[str, Any], tmp_path: Path) -> None:
+    row = small["effects"][0] | {"attribution": "ambiguous", "reasons": ["first", "second"], "not_excluded": ["wind"]}
+    (effect, *_) = loaded(small | {"effects": [row]}).effects
+    points = dict(effect_card(effect, 10.0).facts)["Attribution"]
+    assert points[:3] == ("ambiguous", "first", "second")
+    assert points[3].startswith("not excluded, by ΔBIC")
+    assert "<ul><li>ambiguous</li><li>first</li><li>second</li>" in written(small | {"effects": [row]}, tmp_path)
+
+
 def test_terminal_says_that_the_mass_was_not_compared_with_a_weighed_one() -> None:
     bench = shortened(KINDS["thruster"]())
     fit = {name: bench[name] for name in bench if name in VehicleResult.__struct_fields__} | {"kind": "vehicle"}

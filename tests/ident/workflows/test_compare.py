@@ -1020,8 +1020,8 @@ def test_one_model_is_evaluated(
     # The measure is that of the answer of a fit.
     fit = 1 - np.exp(np.log(1 - ahead["fit"]).mean())
     assert judged.answer.startswith(
-        f"5 s ahead the fit of all channels is {100 * fit:.0f} % (1 - geometric mean of error / standard deviation of 8 "
-        f"channels); {100 * share:.0f} % of the errors of all channels lie inside the 95 % intervals."
+        f"5 s ahead the fit of all channels is {100 * fit:.0f} % (1 - geometric mean of error / standard deviation of "
+        f"8 channels); {100 * share:.0f} % of the errors of all channels lie inside the 95 % intervals."
     )
     assert st.compare([models[0]], logs[2]).result.models[0].widened_simulation is False
     capsys.readouterr()
