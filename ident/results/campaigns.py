@@ -497,8 +497,8 @@ def _load_sentence(changed: Sequence[ParameterDifference], tested: Sequence[Para
     A load adds the same mass to both, also if its size is only known as well as the scale of the thrust. Another thrust
     multiplies both by the same factor. The first is stated only if the second is excluded. The differences have to
     agree within 2 standard errors. The relative ones have to differ by more than 3, or the relative change of both
-    has to differ by more than 3 from that of the inertia m_r, which another thrust would change too. An inertia that has
-    not changed shows that the load is near the centre of gravity. ``tested`` are all tested parameters.
+    has to differ by more than 3 from that of the inertia m_r, which another thrust would change too. An inertia that
+    has not changed shows that the load is near the centre of gravity. ``tested`` are all tested parameters.
     """
     masses = [p for p in changed if p.name in ("m_u", "m_v") and p.before.mean > 0.0 and p.se > 0.0]
     if len(masses) < 2:

@@ -105,6 +105,8 @@ APART_PHASES = (
     *("run twice", "with random sequences", "track"),
 )
 LONGEST_S = 3600.0  # s: a mission to distinguish two effects that would have to be longer is not recommended
+THRUST_KEPT = 0.9  # error of the thrust scale after a mission over that before: the mission hardly changes it
+THRUST_SHARE = 0.8  # share of the thrust scale in the error of a parameter, from which it sets the limit
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
 NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below it is taken as not found
@@ -903,11 +905,37 @@ def _design_answer(
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     duration = made.problem.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
+    errors += thrust_limit_sentence(parameters)
     if not is_larger(baseline.value, made.value):
         return errors
     warning = warn_worse_than_baseline(baseline, made.problem, made.problem.criterion, made.value)
     # A mission that keeps limits is no failure if it informs less than one that ignores them.
     return f"{errors}. {warning.removesuffix('.')}" if made.problem.limits.bind else f"{warning} {errors}"
+
+
+def thrust_limit_sentence(parameters: Sequence[DesignedParameter]) -> str:
+    """Return the sentence that the error of the thrust limits those of masses and damping after a mission; often empty.
+
+    The motion determines a mass only as a ratio to the thrust. Its relative error is then nearly that of the thrust
+    scale c1, which no mission reduces. The sentence names the chosen parameters in kg of which this error is at least
+    `THRUST_SHARE` of the whole one. It begins with a full stop and has none at its end. ``parameters`` are the rows of
+    the result.
+    """
+    scale = next((p for p in parameters if p.name == "c1" and p.value), None)
+    if scale is None or not scale.after or not scale.before or scale.after < THRUST_KEPT * scale.before:
+        return ""
+    share = scale.after / abs(scale.value)
+    limited = [
+        p.name
+        for p in parameters
+        if p.chosen and p.unit.startswith("kg") and p.after and share * abs(p.value) >= THRUST_SHARE * p.after
+    ]
+    if not limited:
+        return ""
+    return (
+        f". The thrust scale (c1 ± {100.0 * share:.2g} %) sets this limit for {' and '.join(limited)}, so that no "
+        "mission helps much more: measure the bollard pull better"
+    )
 
 
 def is_larger(criterion: float, than: float) -> bool:

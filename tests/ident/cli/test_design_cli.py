@@ -10,7 +10,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report import write_design_page
 from seatrial.ident.reporter import QUIET, TimeLeft
-from seatrial.ident.results import DesignResult, Discrimination, read_result
+from seatrial.ident.results import DesignedParameter, DesignResult, Discrimination, read_result
 from seatrial.ident.workflows.design import (
     APART_PHASES,
     DesignRequest,
@@ -51,6 +51,7 @@ from seatrial.ident.workflows.design import (
     make_design,
     make_task,
     search_state,
+    thrust_limit_sentence,
     warn_worse_than_baseline,
 )
 
@@ -313,6 +314,35 @@ def test_a_design_with_limits_says_first_what_it_achieves(value: float, worse: b
     assert answer.startswith("After this mission of 240 s the expected standard errors are m_u ±1.3 kg (5.2 %)")
     assert ("(5.2 %). The limits cost information: a random sequence that ignores them is better" in answer) == worse
     assert not answer.endswith(".")  # the sentence on the area follows
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "error", "said"),
+    [(4.5, 4.2, 4.0, True), (4.5, 4.2, 5.5, False), (4.5, 1.0, 4.0, False), (None, None, 4.0, False)],
+)
+def test_an_error_that_the_thrust_limits_is_named(
+    before: float | None, after: float | None, error: float, said: bool
+) -> None:
+    """The answer did not say that no mission can determine m_u better than its thrust scale."""
+    rows = tuple(
+        DesignedParameter(
+            name=name, meaning="", unit=unit, value=value, before=was, after=now, form=now, baseline=now, chosen=chosen
+        )
+        for name, unit, value, was, now, chosen in (
+            ("c1", "N", 75.7, before, after, False), ("m_u", "kg", 69.5, 4.7, error, True),
+            ("d_u", "kg/s", 4.0, 4.0, 2.0, True), ("Y_r", "kg m/s", 50.0, 2.8, 2.8, False),
+        )
+    )  # fmt: skip
+    sentence = thrust_limit_sentence(rows)
+    wanted = (
+        ". The thrust scale (c1 ± 5.5 %) sets this limit for m_u, so that no mission helps much more: measure the "
+        "bollard pull better"
+    )
+    assert sentence == (wanted if said else "")
+    problem: Any = SimpleNamespace(limits=DesignLimits(), criterion="D", steps=SimpleNamespace(duration=240.0))
+    made: Any = SimpleNamespace(problem=problem, value=60.0)
+    answer = _design_answer(made, rows, None, cast(Any, SimpleNamespace(kind="PRBS", value=52.0)))
+    assert answer.endswith(sentence)
 
 
 def test_the_help_of_the_area_says_that_a_boat_may_leave_it(capsys: pytest.CaptureFixture[str]) -> None:
