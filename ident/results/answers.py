@@ -1469,11 +1469,11 @@ def dead_zone_warnings(turning: Mapping[str, TurningShaft | None], dead_zone: fl
         f"{name}: the data contradict the fitted dead zone of {100 * dead_zone:.1f} % of full command: at a command of "
         f"{100 * held.command:.1f} % the shaft turns at {100 * held.speed:.1f} % of full speed (from {held.start:.1f} "
         f"to {held.end:.1f} s). The model has a shaft that follows the whole command outside its dead zone; a "
-        "controller that subtracts its dead zone, or a low battery, gives less. d is then only the value with which "
-        "this model predicts the shaft speeds best: an exported model keeps it, and gives no thrust at commands inside "
-        "it. A boat model that is joined with it has a dead zone of zero. Set no dead zone of an autopilot to d. Hold "
-        "more small commands (seatrial bench steps), and let a "
-        "diagnosis test the effect controller-dead-band."
+        "controller that subtracts its dead zone, or a low battery, gives less. The dead zone is therefore not "
+        "determined: d is only the value with which this model predicts the shaft speeds best. An export of this model "
+        "alone keeps d, and an export of a boat model that is joined with it has a dead zone of zero. Set no dead zone "
+        "of an autopilot to d. Hold more small commands (seatrial bench steps), and let a diagnosis test the effect "
+        "controller-dead-band."
     )
     return [ResultWarning(code="dead-zone-contradicted", text=text)]
 

@@ -28,6 +28,7 @@ from seatrial.ident.results import (
 )
 
 MAX_KEY_PARAMETERS = 9
+FINE_PERCENT = 1.0  # change of the prediction error below which it has a decimal: "0 % larger" says nothing
 
 
 def section(result: Result) -> Section:
@@ -183,22 +184,26 @@ def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> 
         return "", ""
     error = f"prediction error {horizon:g} s ahead with this effect"
     shift = 100 * (change.ratio - 1)
+    places = 0 if abs(shift) >= FINE_PERCENT else 1
     ends = None if change.low is None or change.high is None else [100 * (r - 1) for r in (change.low, change.high)]
     within = ""
     if ends is not None and change.verdict == "unchanged":
-        within = f"95 %: {_signed(ends[0])} to {_signed(ends[1])} %"
+        within = f"95 %: {_signed(ends[0], places)} to {_signed(ends[1], places)} %"
     elif ends is not None:
         least, most = sorted(map(abs, ends))
-        within = f"95 %: {least:.0f} to {most:.0f} %"
+        within = f"95 %: {least:.{places}f} to {most:.{places}f} %"
     if change.verdict == "unchanged":
         reason = "not significant" if ends is not None else "the data are too short for an interval"
-        return f"{_signed(shift)} %", f"change of the {error}, {reason}{f' ({within})' if within else ''}"
-    return f"{abs(shift):.0f} %", f"{'smaller' if shift < 0.0 else 'larger'} {error}{f' ({within})' if within else ''}"
+        return f"{_signed(shift, places)} %", f"change of the {error}, {reason}{f' ({within})' if within else ''}"
+    return (
+        f"{abs(shift):.{places}f} %",
+        f"{'smaller' if shift < 0.0 else 'larger'} {error}{f' ({within})' if within else ''}",
+    )
 
 
-def _signed(percent: float) -> str:
-    """Return a percentage without decimals, with its sign: a plus or a true minus sign."""
-    return f"{percent:+.0f}".replace("-", "\N{MINUS SIGN}")
+def _signed(percent: float, places: int) -> str:
+    """Return a percentage with this number of decimals and its sign, a plus or a true minus sign. Zero has a plus."""
+    return f"{percent:+z.{places}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def attribution_points(effect: EffectRow) -> tuple[str, ...]:

@@ -122,6 +122,20 @@ def test_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page
         ),
         (1.25, 1.1, 1.4, "rose", "25 % larger prediction error 10 s ahead with this effect"),
         (
+            1.004,
+            0.9996,
+            1.02,
+            "unchanged",
+            "+0.4 % change of the prediction error 10 s ahead with this effect, not significant (95 %: +0.0 to +2.0 %)",
+        ),
+        (
+            1.004,
+            1.001,
+            1.02,
+            "rose",
+            "0.4 % larger prediction error 10 s ahead with this effect (95 %: 0.1 to 2.0 %)",
+        ),
+        (
             0.5,
             None,
             None,
