@@ -785,9 +785,9 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
         warnings.append(ResultWarning(code="thrust-scale-unknown", text=text))
     if pole is not None:
         text = (
-            f"The design assumes a built-in time constant of the shafts of {1e3 / pole:.0f} ms, even if a bench test "
-            "found another. With slower shafts the standard errors of a fit will be larger; a model with commands as "
-            "inputs (horizontal:command) uses its own time constant."
+            f"The design assumes a built-in time constant of the shafts of {1e3 / pole:.0f} ms. With slower shafts the "
+            "standard errors of a fit will be larger: give the folder of a bench test by --thruster. A model with "
+            "commands as inputs (horizontal:command) uses its own time constant."
         )
         warnings.append(ResultWarning(code="shaft-lag-built-in", text=text))
     return warnings

@@ -35,9 +35,11 @@ from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits, DesignProblem
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.thruster import thruster_model
 from seatrial.ident.report import write_design_page
 from seatrial.ident.reporter import QUIET, TimeLeft
 from seatrial.ident.results import DesignedParameter, DesignResult, Discrimination, read_result
+from seatrial.ident.workflows import design as workflow
 from seatrial.ident.workflows.design import (
     APART_PHASES,
     DesignRequest,
@@ -473,6 +475,26 @@ def test_fitted_model_gives_its_covariance_to_the_design(
     assert dict(mission.prediction.errors_before) == {"m_u": pytest.approx(0.19 / thrust, rel=1e-3)}
     assert mission.predicted_errors["m_u"] < 0.19 / thrust
     assert "tau_b" not in mission.predicted_errors
+
+
+def test_the_shafts_have_the_time_constant_of_a_bench_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = {"bench": thruster_model().with_values({"a": 4.0}), "boat": horizontal_model("shaft")}
+    monkeypatch.setattr(workflow, "load_model", lambda path: SimpleNamespace(model=models[path.stem]))
+    request = DesignRequest(duration=60.0, steps=8, thruster=Path("bench"))
+    task, _ = make_task("horizontal:shaft", request, QUIET)
+    assert (task.pole, task.actuation.pole) == (4.0, 4.0)
+    built_in, _ = make_task("horizontal:shaft", replace(request, thruster=None), QUIET)
+    assert built_in.actuation.pole == pytest.approx(1 / 0.358, rel=0.01)
+    with pytest.raises(SeatrialError, match="--thruster: the inputs of this model are commands"):
+        make_task("horizontal:command", request, QUIET)
+    with pytest.raises(SeatrialError, match="boat: this is no model of a thruster with a time constant"):
+        make_task("horizontal:shaft", replace(request, thruster=Path("boat")), QUIET)
+    out = tmp_path / "turn.toml"
+    status, output, err = run(capsys, "design", "yaw", *QUICK, "--thruster", "bench", "--out", str(out))
+    assert status == 0, err
+    assert "time constant of the shafts" not in output
 
 
 def test_one_input_is_realised_by_two_thrusters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
