@@ -716,9 +716,10 @@ def _with_decimals(value: float, error: float) -> str:
 
 
 def _percent_interval(*ratios: float) -> list[str]:
-    """Return changes in per cent of ratios of errors, with one decimal if one of them is below 1 %: no ``-0``."""
+    """Return changes of ratios of errors in per cent: with one decimal if one of them is below 1 %, two below 0.1 %."""
     changes = [100.0 * (ratio - 1.0) for ratio in ratios]
-    places = 1 if min(map(abs, changes)) < 1.0 else 0
+    least = min(map(abs, changes))
+    places = 0 if least >= 1.0 else 1 if least >= 0.1 else 2
     return [f"{change:+z.{places}f}" for change in changes]
 
 

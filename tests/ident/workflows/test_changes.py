@@ -766,6 +766,9 @@ def test_a_changed_parameter_has_its_unit_and_per_cent() -> None:
     ]
     said = campaigns_answer(result_of(found, tuple(rows)))
     assert "falls with the changed parameters: -3.0 % (95 %: -5.0 to -0.3 %)." in said
+    rows = [msgspec.structs.replace(rows[0], high=0.9996)]
+    said = campaigns_answer(result_of(found, tuple(rows)))
+    assert "falls with the changed parameters: -3.00 % (95 %: -5.00 to -0.04 %)." in said
 
 
 def test_logs_after_that_no_values_predict_ask_for_a_diagnosis() -> None:
