@@ -64,6 +64,7 @@ RUN = [
      "tests/ident/workflows/test_control.py::test_controller_of_the_page"),
     ("docs/how-to/control.md", "python", [6, 8], "tests/ident/workflows/test_control.py::test_mpc_with_do_mpc"),
     ("docs/how-to/control.md", "python", [9], "tests/ident/workflows/test_ros2_node.py::ros"),
+    ("docs/how-to/control.md", "python", [10], "tests/ident/workflows/test_ros2_node.py::commanded"),
     ("docs/how-to/design.md", "sh", [0], f"{HERE}::test_the_designs_of_the_page"),
     ("docs/how-to/design.md", "sh", [2], f"{HERE}::test_the_information_of_the_design_page"),
     ("docs/how-to/devices.md", "python", ALL, f"{HERE}::test_the_tables_of_the_devices_page"),

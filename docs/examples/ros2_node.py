@@ -20,6 +20,7 @@ from functools import partial
 from typing import Any
 
 import rclpy
+import std_msgs.msg
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
@@ -27,16 +28,34 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, NavSatFix
-from std_msgs.msg import Float64
 
 RATE = 10.0  # Hz, of the commands
-STALE = 0.3  # s: an older message stops the thrusters
 ZEROS = 1.0  # s, of zero commands with fresh messages before the first thrust
 RAMP = 0.05  # m/s2: the wanted speed rises from that of the boat (page: start by a ramp)
 INTEGRAL = 10.0  # s, time constant of the heading's integral: at least five times that of the slowest pole of the loop
 NEAR = math.radians(20.0)  # the integral rests at larger errors, as in a turn
 LARGEST = math.radians(20.0)  # of the integral
+NUMBERS = ("states", "inputs", "K", "x0", "u0")  # keys that the file of the feedback must have
 State = dict[str, float]
+
+
+def feedback_of(path: str) -> dict[str, Any]:
+    """Return the feedback that `to_json` of `lqr` wrote. Raise ValueError if the file lacks what the node needs."""
+    with open(path, encoding="utf-8") as file:
+        found: dict[str, Any] = json.load(file)
+    if missing := [key for key in NUMBERS if key not in found]:
+        raise ValueError(f"{path} lacks {', '.join(missing)}: write it by control.to_json, with control = ....lqr(...)")
+    n, m = len(found["states"]), len(found["inputs"])
+    if (
+        len(found["K"]) != m
+        or any(len(row) != n for row in found["K"])
+        or len(found["x0"]) != n
+        or len(found["u0"]) != m
+    ):
+        raise ValueError(f"{path}: K needs {m} rows of {n} numbers, x0 {n} and u0 {m}: write it by control.to_json")
+    if missing := [key for key in ("T_n", "tau_n", "dead_zone") if key not in (found.get("shafts") or {key: 0})]:
+        raise ValueError(f"{path}: shafts lacks {', '.join(missing)}: write it by control.to_json(..., shafts=P)")
+    return found
 
 
 def heading(q: Any) -> State:
@@ -136,6 +155,16 @@ class Controller(Node):
         self.declare_parameter("sensors", "odometry")  # or gnss
         for name, default in (("feedback", "feedback.json"), ("speed", 0.8), ("heading", 0.0), ("limit", 0.6)):
             self.declare_parameter(name, default)  # heading: deg, clockwise from north; limit: largest command
+        self.declare_parameter("stale", 0.3)  # s: an older message stops the thrusters
+        self.declare_parameter("message", "Float64")  # type of the commands, of std_msgs, with one number `data`
+        self.message = getattr(std_msgs.msg, self.get_parameter("message").value, None)
+        if self.message is None or not hasattr(self.message(), "data"):
+            raise ValueError(
+                f"the parameter message is {self.get_parameter('message').value}; it must be a type of std_msgs with a "
+                "number: Float64 or Float32"
+            )
+        if not 0.0 < self.get_parameter("stale").value < math.inf:
+            raise ValueError(f"the parameter stale is {self.get_parameter('stale').value}; it must be seconds above 0")
         # m, of the GNSS antenna forward and to starboard of the centre of gravity, for the sensors gnss
         self.declare_parameter("antenna", [0.0, 0.0])
         antenna = list(self.get_parameter("antenna").value)
@@ -144,8 +173,7 @@ class Controller(Node):
         if (sensors := self.get_parameter("sensors").value) not in SENSORS:
             raise ValueError(f"the parameter sensors is {sensors}; it must be {' or '.join(SENSORS)}")
         topics = SENSORS[sensors]
-        with open(self.get_parameter("feedback").value, encoding="utf-8") as file:
-            self.feedback = json.load(file)
+        self.feedback = feedback_of(self.get_parameter("feedback").value)
         names = [n.removeprefix("n_").removeprefix("cmd_") for n in self.feedback["inputs"]]
         missing = set(self.feedback["states"]).difference(*(states for _, _, states in topics.values()))
         # The commands give the shaft speeds, if the file has the model of the shafts.
@@ -153,11 +181,11 @@ class Controller(Node):
         if missing := missing - {f"n_{n}" for n in sides}:
             raise ValueError(
                 f"no message gives the states {sorted(missing)}: subscribe to them (SENSORS). Shaft speeds are "
-                "estimated if the file of the feedback has the key shafts: write it as docs/how-to/control.md shows"
+                "estimated if the file of the feedback has the key shafts: control.to_json(..., shafts=P)"
             )
         self.shafts = {n: Shaft(n, self.feedback["shafts"]) for n in sides}  # by side
         self.names = names
-        self.commands = [self.create_publisher(Float64, f"/thrusters/{n}/command", 10) for n in names]
+        self.commands = [self.create_publisher(self.message, f"/thrusters/{n}/command", 10) for n in names]
         self.x: State = dict(zip(("antenna_x", "antenna_y"), antenna, strict=True))  # and the latest states
         self.heard = dict.fromkeys(topics, -math.inf)  # s, of the last valid message of each topic
         self.stopped, self.since, self.wanted = "start", time.monotonic(), 0.0  # reason, its time [s], ramp [m/s]
@@ -179,11 +207,11 @@ class Controller(Node):
 
     def update(self) -> None:
         """Send the commands of the feedback, or zero. ``ros2 param set`` changes a set-point while the node runs."""
-        speed, heading, limit = (self.get_parameter(n).value for n in ("speed", "heading", "limit"))
+        speed, heading, limit, stale = (self.get_parameter(n).value for n in ("speed", "heading", "limit", "stale"))
         now = time.monotonic()
         self.x |= {f"n_{n}": shaft.estimate(now) for n, shaft in self.shafts.items()}
-        if late := [topic for topic, heard in self.heard.items() if now - heard > STALE]:
-            return self.stop(f"no valid message within {STALE} s on {' and '.join(late)}")
+        if late := [topic for topic, heard in self.heard.items() if not now - heard <= stale]:
+            return self.stop(f"no valid message within {stale:g} s on {' and '.join(late)}")
         if not all(map(math.isfinite, (speed, heading, limit))):
             return self.stop("speed, heading and limit must be finite")
         if self.stopped and now - self.since < ZEROS:
@@ -203,7 +231,7 @@ class Controller(Node):
         error = {n: self.x[n] - goal[n] for n in self.feedback["states"]}
         if "psi" in error:  # the shorter turn
             error["psi"] = math.remainder(error["psi"], 2.0 * math.pi)
-        rows = zip(self.feedback["u0"], self.feedback["gain"], strict=True)
+        rows = zip(self.feedback["u0"], self.feedback["K"], strict=True)
         commands = [u0 - sum(k * e for k, e in zip(row, error.values(), strict=True)) for u0, row in rows]
         if "psi" in error and max(map(abs, commands)) < limit:
             self.integrate(math.remainder(math.radians(heading) - self.x["psi"], 2.0 * math.pi))
@@ -221,7 +249,7 @@ class Controller(Node):
     def send(self, commands: list[float]) -> None:
         """Publish one command for each thruster."""
         for name, publisher, n in zip(self.names, self.commands, commands, strict=True):
-            publisher.publish(Float64(data=float(n)))
+            publisher.publish(self.message(data=float(n)))
             if name in self.shafts:
                 self.shafts[name].send(float(n))
 

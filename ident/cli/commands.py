@@ -709,6 +709,11 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
 )
 @click.option("--slew", type=FiniteRange(0, min_open=True), help="Slew limit of a command [1/s].")
 @click.option(
+    "--thruster",
+    type=click.Path(path_type=Path),
+    help="Bench model (folder or model.toml) whose time constant the shafts have [default: 358 ms].",
+)
+@click.option(
     "--rate",
     "rates",
     multiple=True,

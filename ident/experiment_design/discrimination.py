@@ -23,7 +23,6 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation import dynamic_parameters
 from seatrial.ident.experiment_design.criteria import SINGULAR
 from seatrial.ident.experiment_design.evaluator import DesignEvaluator
-from seatrial.ident.experiment_design.excitation import ThrusterResponse
 from seatrial.ident.experiment_design.information import (
     in_lanes,
     interval_ends,
@@ -99,10 +98,7 @@ class HypothesisPair:
         values = np.tile([p.value for p in self.fitted.parameters], (n, 1))
         columns = [list(self.fitted.values).index(name) for name in self.free]
         initial, bounds = values[:, columns].copy(), np.array([self.fitted.parameter(m).bounds for m in self.free]).T
-        u, u_true = (
-            ThrusterResponse(m, self.problem.t, self.problem.steps.n_max, self.problem.slew).inputs(command)
-            for m in (self.fitted, self.truth)
-        )
+        u, u_true = (replace(self.problem.actuation, model=m).inputs(command) for m in (self.fitted, self.truth))
         best = np.full(n, np.inf)
         for k in range(refits + 1):
             ee, g, F = self._innovation_sums(u, u_true, values)

@@ -10,7 +10,7 @@ import numpy as np
 
 from seatrial.ident.estimation import dynamic_parameters
 from seatrial.ident.experiment_design.criteria import Kind
-from seatrial.ident.experiment_design.excitation import StepInput, ThrusterResponse
+from seatrial.ident.experiment_design.excitation import SHAFT_POLE, StepInput, ThrusterResponse
 from seatrial.ident.experiment_design.information import Experiments
 from seatrial.ident.experiment_design.prior import ParameterPrior
 from seatrial.ident.model import Model
@@ -99,6 +99,8 @@ class DesignProblem:
         Interval between rows [s]. It must be short enough for the fastest state of the model (`row_spacing`). If a
         sensor cannot have its rate on the rows, its noise is scaled by the square root of the ratio of its rate on the
         rows to its rate.
+    pole
+        Pole of the lag between command and shaft speed [1/s]; not used if the model has the shafts.
     """
 
     model: Model
@@ -115,6 +117,7 @@ class DesignProblem:
     process_noise: bool = True
     seed: int = 1
     grid: float = GRID
+    pole: float = SHAFT_POLE
 
     @cached_property
     def t(self) -> Array:
@@ -156,7 +159,7 @@ class DesignProblem:
     @cached_property
     def actuation(self) -> ThrusterResponse:
         """Response of the thrusters to commands at the times ``t``."""
-        return ThrusterResponse(self.model, self.t, self.steps.n_max, self.slew)
+        return ThrusterResponse(self.model, self.t, self.steps.n_max, self.slew, self.pole)
 
     def commands(self, z: Array) -> Array:
         """Return the commands (n_rows, n_channels, n) of search points z (n, size), with the slew limit.

@@ -139,11 +139,11 @@ def _shaft_speed_lines(content: Content) -> list[str]:
         return []
     c1, c2 = (C.number(v) for v in content.thrust_curve)
     return [
-        f"/* Shaft speed at which a thruster has this thrust [{content.unit('N')}], -1 to 1 in its range. */",
+        f"/* Shaft speed at which a thruster has this thrust [{content.unit('N')}], limited to full speed, -1 to 1. */",
         f"static inline double {content.name}_shaft_speed(double thrust)",
         "{",
         f"    const double c1 = {c1}, c2 = {c2};",
-        "    return thrust >= 0.0 ? sqrt(thrust / (c1 + c2)) : -sqrt(-thrust / (c1 - c2));",
+        "    return thrust >= 0.0 ? fmin(sqrt(thrust / (c1 + c2)), 1.0) : fmax(-sqrt(-thrust / (c1 - c2)), -1.0);",
         "}",
     ]
 

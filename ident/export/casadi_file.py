@@ -128,6 +128,7 @@ def write(content: Content) -> str:
             "import os",
             "import sys",
             f"from math import {', '.join(sorted(NEEDED_FOR_PAST - {'remainder'}))}",
+            *(["from warnings import warn"] if content.thrust_curve else []),
             "",
             "import casadi as ca",
             "",

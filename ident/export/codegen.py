@@ -253,7 +253,8 @@ def dead_zone_lines(saved: SavedModel, name: str = "d") -> tuple[str, ...]:
     return (
         "",
         f"{name} = {saved.model.parameter('d').value:.3g} is {TURNS_INSIDE}, where this model gives",
-        f"no thrust. {name} is the value with which the model predicts the shaft speeds best. Set no dead zone of an",
+        f"no thrust. The dead zone is not determined: {name} is the value with which the model predicts the shaft",
+        "speeds best. A boat model that is joined with this one has a dead zone of zero. Set no dead zone of an",
         "autopilot to it.",
     )
 

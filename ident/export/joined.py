@@ -230,8 +230,8 @@ def _with_significant_dead_zones(drives: Sequence[Drive]) -> list[Drive]:
         found.append(d)
     if zones:
         warn(
-            f"the bench tests do not show these dead zones (smaller than two standard errors, or the shaft turns inside"
-            f"): {', '.join(zones)}. They are zero in the joined model. Fit the thrusters again with "
+            f"the bench tests do not determine these dead zones (smaller than two standard errors, or the shaft turns "
+            f"inside): {', '.join(zones)}. They are zero in the joined model. Fit the thrusters again with "
             "--fix d=0, so that delay and lag belong to it; with --fix d=VALUE a dead zone that you know is kept"
         )
     return found
@@ -361,7 +361,7 @@ def _remarks(drives: list[Drive], own_curve: bool) -> list[str]:
     for d in drives:
         if _has_unproven_dead_zone(d.saved):
             lines.append(
-                f"  {d.own('d')} is zero: the fitted {d.saved.model.parameter('d').value:.3g} is not shown by its data"
+                f"  {d.own('d')} is zero: its data do not determine the fitted {d.saved.model.parameter('d').value:.3g}"
             )
     return lines
 

@@ -39,9 +39,17 @@ def step(x, u, dt, p=P):
 SHAFT_SPEED = '''
 
 def shaft_speed(thrust):
-    """Return the shaft speed at which a thruster has this thrust [UNIT], -1 to 1 in its range."""
+    """Return the shaft speed at which a thruster has this thrust [UNIT], -1 to 1.
+
+    The thrust is limited to that of full speed, c1 + c2 ahead and c1 - c2 astern of THRUST_CURVE. A thrust more than
+    5 % beyond it gives a warning.
+    """
     c1, c2 = THRUST_CURVE
-    return (thrust / (c1 + c2)) ** 0.5 if thrust >= 0 else -((-thrust / (c1 - c2)) ** 0.5)
+    n = (thrust / (c1 + c2)) ** 0.5 if thrust >= 0 else -((-thrust / (c1 - c2)) ** 0.5)
+    if abs(n) > 1.05**0.5:
+        limits = f"{c2 - c1:.4g} to {c1 + c2:.4g} UNIT"
+        warn(f"the thrust {thrust:.4g} UNIT is beyond full speed, {limits}: full speed is used", stacklevel=2)
+    return min(max(n, -1.0), 1.0)
 '''
 
 
@@ -76,7 +84,8 @@ def write(content: Content) -> str:
         about.append("PHYSICAL_INPUTS has their names. INPUTS has those of the inputs of f and h, with delayed copies.")
     head = [*description_lines(content), "", *about]
     parts = [*_docstring(content), *("# " + line if line else "#" for line in head), ""]
-    parts += ["from difflib import get_close_matches", f"from math import {', '.join(imported)}", ""]
+    parts += ["from difflib import get_close_matches", f"from math import {', '.join(imported)}"]
+    parts += [*(["from warnings import warn"] if content.thrust_curve else []), ""]
     return "\n".join([*parts, *constants(content), limits, "", body])
 
 

@@ -25,6 +25,8 @@ TURN = 2.0 * np.pi  # rad
 MOST_TURNS = 5.0  # of a heading that counts them; more are degrees
 BEYOND = 1.05  # share of the end of the data from which a limit of the user is beyond them
 ROOM = 0.9  # share of the limit above which a steady input leaves too little for the control
+SHAFTS = ("T_n", "tau_n", "dead_zone")  # lag [s], delay [s] and dead zone of shafts that follow commands
+SHAFT_DIFFERENCE = "dT_n"  # s, of the lags of both shafts; only with the effect lag-mismatch
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
 
 
@@ -161,11 +163,13 @@ class StateFeedback:
         write_mat(file, {n: cell_array(v) if isinstance(v, list) else v for n, v in found.items()}, force)
         return file
 
-    def to_json(self, path: str | os.PathLike[str], force: bool = False) -> Path:
+    def to_json(
+        self, path: str | os.PathLike[str], force: bool = False, shafts: Mapping[str, float] | None = None
+    ) -> Path:
         """Write the feedback to a JSON file, and return its path. Names and numbers are those of `to_mat`.
 
         The gain is a list of a row for each input. The limit of a thrust is null. A pole is a list of its real and
-        imaginary part.
+        imaginary part. The node of ROS 2 of the documentation reads this file.
 
         Parameters
         ----------
@@ -173,17 +177,29 @@ class StateFeedback:
             The file, whose name ends in .json.
         force : bool
             Whether an existing file is replaced.
+        shafts : dict of str to float, optional
+            Parameters of the shafts: ``P`` of a model that was exported to Python. A controller estimates shaft speeds
+            with them that nobody measures. ``T_n``, ``tau_n``, ``dead_zone`` and perhaps ``dT_n`` are written as
+            ``shafts``; other names are ignored. None writes none.
 
         Raises
         ------
         SeatrialError
-            If the name does not end in .json, or if the file exists and ``force`` is False.
+            If the name does not end in .json, if the file exists and ``force`` is False, or if ``shafts`` lacks a
+            parameter.
         """
         file = Path(path)
         if file.suffix != ".json":
             raise SeatrialError(f"{file}: give a name that ends in .json; `to_mat` writes a file for MATLAB")
         require_new(file, force, "path", "force=True")
         found = self._variables()
+        if shafts is not None:
+            if missing := [n for n in SHAFTS if n not in shafts]:
+                raise SeatrialError(
+                    f"shafts: {missing[0]} is missing; give P of the exported model whose inputs are commands, or "
+                    f"{{{', '.join(f'{n!r}: ...' for n in SHAFTS)}}} in s, s and as a share of full speed"
+                )
+            found["shafts"] = {n: float(shafts[n]) for n in (*SHAFTS, SHAFT_DIFFERENCE) if n in shafts}
         found["poles"] = np.column_stack([self.poles.real, self.poles.imag])
         lists = {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in found.items()}
         for name in ("u_min", "u_max"):

@@ -304,7 +304,7 @@ class EffectCard:
     parameters
         Name, value with standard error, and meaning of each parameter.
     facts
-        Label and value of further entries.
+        Label and value of further entries. A tuple is shown as a list.
     importance
         Percentage by which the effect changes the prediction error; empty if unknown.
     importance_words
@@ -320,7 +320,7 @@ class EffectCard:
     name: str
     formula: str
     parameters: Sequence[tuple[str, str, str]]
-    facts: Sequence[tuple[str, str]]
+    facts: Sequence[tuple[str, str | tuple[str, ...]]]
     importance: str
     importance_words: str
     verdict: str = ""

@@ -321,5 +321,5 @@ def _histogram(name: str, values: Array, edges: Array) -> Trace:
 
 def _provenance_section(result: DesignResult) -> Section:
     """Return the section with the provenance of a designed mission: command line and number of simulations."""
-    facts = [("command", result.command), ("simulations", str(result.evaluations))]
+    facts = [("command", result.command), ("simulations of the search over the whole mission", str(result.evaluations))]
     return Section("made", "How it was made", [Facts(facts, "made")])

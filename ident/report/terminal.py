@@ -255,9 +255,7 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     tables = list[Table]()
     if result.combinations:
         together = sorted(result.combinations, key=lambda c: not c.changed)
-        tables.append(
-            _changes_table("Combinations of parameters", together, result.false_discovery_rate, absolute=False)
-        )
+        tables.append(_changes_table("Combinations of parameters", together, result.false_discovery_rate))
     if shown:
         title = f"Changes{f' ({left} of noise and disturbances in the report)' if left else ''}"
         tables.append(_changes_table(title, shown, result.false_discovery_rate, joint_words(result)))
@@ -280,19 +278,16 @@ def campaign_tables(result: CampaignsResult) -> list[Table]:
     return tables
 
 
-def _changes_table(
-    title: str, shown: Sequence[Difference], rate: float, caption: str = "", *, absolute: bool = True
-) -> Table:
+def _changes_table(title: str, shown: Sequence[Difference], rate: float, caption: str = "") -> Table:
     """Return the table of the differences of parameters or combinations, with a caption below it.
 
-    ``rate`` is the false discovery rate, with which the q values were compared. Without ``absolute``, it has no column
-    for the changes in the unit of the parameter: long names need its width.
+    ``rate`` is the false discovery rate, with which the q values were compared.
     """
     table = titled_table(title)
     table.caption, table.caption_justify = caption or None, "left"
     table.padding = (0, 1, 0, 0)
     table.add_column("", no_wrap=True)
-    for column in ("before ± s.e.", "after ± s.e.", *(["change"] if absolute else [])):
+    for column in ("before ± s.e.", "after ± s.e.", "change"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
     for column in ("change (95 %)", "q"):
@@ -302,7 +297,7 @@ def _changes_table(
         means = (formatting.with_error(factor * m.mean, factor * m.se) for m in (p.before, p.after))
         style = "bold green" if p.changed else ""
         words = [Text(w) for w in means]
-        words += [*([Text(absolute_change(p), style)] if absolute else []), Text(unit)]
+        words += [Text(absolute_change(p), style), Text(unit)]
         words += [Text(change_of(p), style), Text(formatting.probability(p.q, rate), style)]
         table.add_row(Text(p.name, style or "bold"), *words)
     return table

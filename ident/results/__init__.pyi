@@ -1,3 +1,4 @@
+from .answers import FIT_OF_ALL as FIT_OF_ALL
 from .answers import MOST_OF_ERROR as MOST_OF_ERROR
 from .answers import NO_DATE as NO_DATE
 from .answers import NOMOTO as NOMOTO

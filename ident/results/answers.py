@@ -38,7 +38,7 @@ from seatrial.ident.estimation import (
     thrust_scale_of,
     unexcited_motion,
 )
-from seatrial.ident.model import Model, ModelKind, Parameter, ParameterOrigin, drive_word
+from seatrial.ident.model import Effect, Model, ModelKind, Parameter, ParameterOrigin, drive_word
 from seatrial.ident.models import ESTIMATOR_ERROR
 from seatrial.ident.numerics import NOT_SHOWN, UNSTABLE, is_undetermined
 from seatrial.ident.results.candidate_titles import candidate_title
@@ -120,6 +120,7 @@ PASSED_TESTS = (
 SHORT_FOR_SIMULATION = 4.0  # warm-ups: of a shorter record, the errors of a simulation leave out a large part
 SIMULATION_COVERS = f"The errors of the simulation leave out the {WARM_UP:g} s of filtering before it: they cover"
 OTHER_SURROUNDINGS = "Effects of the surroundings of another day"  # begins the note of a comparison
+FIT_OF_ALL = "1 - geometric mean of error / standard deviation"  # of the channels: `PredictionFit`
 MOST_OF_ERROR = "A small part of the time has most of the squared error"  # begins the note of a comparison
 # Begins the note of a comparison on effects of some models
 SIZE_NOT_SIGNIFICANT = "Effects whose size is not significant in their own fit"
@@ -250,7 +251,8 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
     """Return sentences on the fit (per cent) over the horizon [s]: of all channels, and of the best and the worst one.
 
     The fits of the channels are those on the validation data, or on the estimation data if there are no others. The
-    best and worst are left out if fewer than two channels have a fit. If the prediction of some channels diverges, the
+    definition of the fit of all channels, and the best and worst channel, are left out if fewer than two channels have
+    a fit. If the prediction of some channels diverges, the
     sentence names only them. A 95 % interval wider than 50 per cent points is left out, and a further sentence gives
     the interval of time with the largest errors, if that is known.
     """
@@ -273,7 +275,9 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
             f"{largest.record}; look there for outliers, gaps, or a motion that the other logs lack (a higher speed)."
         )
     ends = [f"{_percent(each[n])} ({NAMES.get(n, n)})" for n in sorted(each, key=lambda n: -each[n])]
-    span = f" Best channel: {ends[0]}; worst: {ends[-1]}." if len(ends) > 1 else ""
+    span = ""
+    if len(ends) > 1:
+        span = f" It is {FIT_OF_ALL} of {len(ends)} channels. Best channel: {ends[0]}; worst: {ends[-1]}."
     return f"{begin}fit {_percent(prediction.fit)}{interval}.{cause}{span}"
 
 
@@ -781,9 +785,9 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
         warnings.append(ResultWarning(code="thrust-scale-unknown", text=text))
     if pole is not None:
         text = (
-            f"The design assumes a built-in time constant of the shafts of {1e3 / pole:.0f} ms, even if a bench test "
-            "found another. With slower shafts the standard errors of a fit will be larger; a model with commands as "
-            "inputs (horizontal:command) uses its own time constant."
+            f"The design assumes a built-in time constant of the shafts of {1e3 / pole:.0f} ms. With slower shafts the "
+            "standard errors of a fit will be larger: give the folder of a bench test by --thruster. A model with "
+            "commands as inputs (horizontal:command) uses its own time constant."
         )
         warnings.append(ResultWarning(code="shaft-lag-built-in", text=text))
     return warnings
@@ -1465,11 +1469,11 @@ def dead_zone_warnings(turning: Mapping[str, TurningShaft | None], dead_zone: fl
         f"{name}: the data contradict the fitted dead zone of {100 * dead_zone:.1f} % of full command: at a command of "
         f"{100 * held.command:.1f} % the shaft turns at {100 * held.speed:.1f} % of full speed (from {held.start:.1f} "
         f"to {held.end:.1f} s). The model has a shaft that follows the whole command outside its dead zone; a "
-        "controller that subtracts its dead zone, or a low battery, gives less. d is then only the value with which "
-        "this model predicts the shaft speeds best: an exported model keeps it, and gives no thrust at commands inside "
-        "it. A boat model that is joined with it has a dead zone of zero. Set no dead zone of an autopilot to d. Hold "
-        "more small commands (seatrial bench steps), and let a "
-        "diagnosis test the effect controller-dead-band."
+        "controller that subtracts its dead zone, or a low battery, gives less. The dead zone is therefore not "
+        "determined: d is only the value with which this model predicts the shaft speeds best. An export of this model "
+        "alone keeps d, and an export of a boat model that is joined with it has a dead zone of zero. Set no dead zone "
+        "of an autopilot to d. Hold more small commands (seatrial bench steps), and let a diagnosis test the effect "
+        "controller-dead-band."
     )
     return [ResultWarning(code="dead-zone-contradicted", text=text)]
 
@@ -1546,14 +1550,19 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
     return notes
 
 
-def straight_sentence(dynamics: Dynamics | None) -> str:
+def straight_sentence(
+    dynamics: Dynamics | None, fitted: FittedModel | None = None, causes: Iterable[Effect] = ()
+) -> str:
     """Return the sentence on a boat that turns although both sides have the same input: what a straight course needs.
 
     It has the inputs of the linear model in the middle of the speeds; in wind, or under a similar force, those of the
     two headings on which the sides differ most (`_straight_by_heading`). The text is empty for None, for a model
-    without an input for each side, and if the inputs differ by less than 3 % of their mean.
+    without an input for each side, and if the inputs differ by less than 3 % of their mean. It is also empty if
+    the data do not determine the size of one of the effects ``causes`` of the model ``fitted``: the inputs are then no
+    fact.
     """
-    if dynamics is None or not dynamics.points:
+    rough = fitted is not None and any(sizes_undetermined(e, fitted) for e in causes)
+    if dynamics is None or not dynamics.points or rough:
         return ""
     if dynamics.headings:
         return _straight_by_heading(dynamics.headings)
@@ -1565,6 +1574,15 @@ def straight_sentence(dynamics: Dynamics | None) -> str:
         f"With equal {drive_word(point.inputs)}s the boat turns to {pull.side}: to go straight at {point.speed:.3g} "
         f"m/s, it needs {pull.text}."
     )
+
+
+def sizes_undetermined(effect: Effect, fitted: FittedModel) -> bool:
+    """Return whether the data determine no size of an effect: each standard error is more than half of the estimate.
+
+    The sizes are the free parameters that are zero without the effect, and have one value for all runs.
+    """
+    sizes = [p for p in effect.parameters if p.free and p.value == 0.0 and not p.per_record]
+    return bool(sizes) and all(is_undetermined(*fitted.fit.estimate(p.name)) for p in sizes)
 
 
 class _Pull(NamedTuple):

@@ -338,7 +338,7 @@ def campaigns_answer(result: CampaignsResult) -> str:
     factor = result.common_factor
     if factor is not None and factor.explains and changed:
         sentences.append(_factor_sentence(factor, result.parameters, changed))
-    sentences += filter(None, (_load_sentence(changed), *(_sides_sentence(p, factor) for p in changed)))
+    sentences += filter(None, (_load_sentence(changed, tested), *(_sides_sentence(p, factor) for p in changed)))
     one = [e for e in result.effects if e.changed and {e.before, e.after} == {True, False}]
     only = [f"{e.name} (only {'after' if e.after else 'before'})" for e in one]
     if only:
@@ -402,7 +402,10 @@ def _split_sentence(c: CombinationDifference, result: CampaignsResult, changed: 
 
 
 def _combination_text(c: Difference) -> str:
-    """Return a changed combination in words, with its 95 % interval: ``the drag at 1 m/s has grown by 51 % (...)``."""
+    """Return a changed combination in words, with its 95 % interval, and with the change in its unit at the end.
+
+    An example: ``the drag at 1 m/s has grown by 51 % (95 %: 41 to 61 %), 12.5 N``.
+    """
     low, high, sign = c.low or 0.0, c.high or 0.0, math.copysign(1.0, c.difference)
     verb = "grown" if sign > 0.0 else "fallen"
     ends = sorted((sign * low, sign * high))
@@ -411,7 +414,8 @@ def _combination_text(c: Difference) -> str:
         return f"the {c.meaning} has {verb} by {size} (95 %: {least} to {most})"
     scale = 100.0 / c.before.mean
     least, most = (f"{scale * end:.0f}" for end in ends)
-    return f"the {c.meaning} has {verb} by {100.0 * abs(c.relative):.0f} % (95 %: {least} to {most} %)"
+    absolute = f"{_with_decimals(abs(c.difference), c.se)[1:]} {c.unit}".strip()
+    return f"the {c.meaning} has {verb} by {100.0 * abs(c.relative):.0f} % (95 %: {least} to {most} %), {absolute}"
 
 
 def _nearest(tested: Sequence[ParameterDifference], combinations: Sequence[CombinationDifference]) -> Difference:
@@ -487,12 +491,14 @@ def q_beside(q: float, rate: float) -> str:
     return repr(q)
 
 
-def _load_sentence(changed: Sequence[ParameterDifference]) -> str:
+def _load_sentence(changed: Sequence[ParameterDifference], tested: Sequence[ParameterDifference]) -> str:
     """Return a sentence if the masses in surge and sway have changed by the same mass, as of another load; else "".
 
     A load adds the same mass to both, also if its size is only known as well as the scale of the thrust. Another thrust
-    multiplies both by the same factor. The first is stated only if the second is excluded: the differences agree within
-    2 standard errors, and the relative ones differ by more than 3.
+    multiplies both by the same factor. The first is stated only if the second is excluded. The differences have to
+    agree within 2 standard errors. The relative ones have to differ by more than 3, or the relative change of both
+    has to differ by more than 3 from that of the inertia m_r, which another thrust would change too. An inertia that
+    has not changed shows that the load is near the centre of gravity. ``tested`` are all tested parameters.
     """
     masses = [p for p in changed if p.name in ("m_u", "m_v") and p.before.mean > 0.0 and p.se > 0.0]
     if len(masses) < 2:
@@ -500,14 +506,28 @@ def _load_sentence(changed: Sequence[ParameterDifference]) -> str:
     (du, su), (dv, sv) = ((p.difference, p.se) for p in masses)
     shares = [p.difference / p.before.mean for p in masses]
     errors = [p.se / p.before.mean for p in masses]
-    if abs(du - dv) > AGREE * math.hypot(su, sv) or abs(shares[0] - shares[1]) < DIFFER * math.hypot(*errors):
+    same_share = abs(shares[0] - shares[1]) < DIFFER * math.hypot(*errors)
+    inertia = next((p for p in tested if p.name == "m_r" and p.before.mean > 0.0 and p.se > 0.0), None)
+    if inertia is not None and same_share:
+        precision = [error**-2.0 for error in errors]
+        share = sum(s * w for s, w in zip(shares, precision, strict=True)) / sum(precision)
+        apart = abs(share - inertia.difference / inertia.before.mean)
+        same_share = apart < DIFFER * math.hypot(sum(precision) ** -0.5, inertia.se / inertia.before.mean)
+    if abs(du - dv) > AGREE * math.hypot(su, sv) or same_share:
         return ""
     weights = 1.0 / su**2, 1.0 / sv**2
     size = (weights[0] * du + weights[1] * dv) / sum(weights)
     verb = "grown" if size > 0.0 else "fallen"
+    cause = "as of another load; another thrust would change both by the same share."
+    if inertia is not None and not inertia.changed:
+        load = "a load" if size > 0.0 else "a load that was taken away"
+        cause = (
+            f"and m_r has not changed: as {load} of about {abs(size):.3g} kg near the centre of gravity would. Another "
+            "thrust would change all three by the same share."
+        )
     return (
         f"m_u and m_v have {verb} by about the same mass ({abs(size):.3g} ± {sum(weights) ** -0.5:.2g} kg, beside the "
-        "error of the scale of the thrust), as of another load; another thrust would change both by the same share."
+        f"error of the scale of the thrust), {cause}"
     )
 
 
@@ -670,9 +690,9 @@ def _error_ratios(before: CampaignErrors, after: CampaignErrors) -> dict[str, fl
 
 
 def _change_text(p: ParameterDifference) -> str:
-    """Return a changed parameter with its change and the 95 % interval: ``d_uu +24 % (95 %: +15 to +33 %)``.
+    """Return a changed parameter with its change and the 95 % interval: ``m_u +14.4 kg (95 %: +9.2 to +19.6), +21 %``.
 
-    Without a relative change, the change is in the unit of the parameter. A difference of the sides is in the words of
+    A difference of the sides is in the words of
     a diagnosis, with the parameter in brackets.
     """
     low, high = p.low or 0.0, p.high or 0.0
@@ -684,8 +704,23 @@ def _change_text(p: ParameterDifference) -> str:
         return f"{words}, before {before:.0f} % ({p.name} {p.difference:+.3g}, 95 %: {low:+.3g} to {high:+.3g})"
     if p.relative is None:
         return f"{p.name} {p.difference:+.3g} {p.unit}".strip() + f" (95 %: {low:+.3g} to {high:+.3g})"
-    scale = 100.0 * p.relative / p.difference
-    return f"{p.name} {100.0 * p.relative:+.0f} % (95 %: {scale * low:+.0f} to {scale * high:+.0f} %)"
+    change, *ends = (_with_decimals(v, p.se) for v in (p.difference, low, high))
+    size = f"{p.name} {change} {p.unit}".rstrip()
+    return f"{size} (95 %: {' to '.join(ends)}), {100.0 * p.relative:+.0f} %"
+
+
+def _with_decimals(value: float, error: float) -> str:
+    """Return a number with its sign, and with the decimals of the second digit of its standard error: ``+14.4``."""
+    digits = max(0, 1 - math.floor(math.log10(error))) if 0.0 < error < math.inf else 2
+    return f"{value:+z.{digits}f}"
+
+
+def _percent_interval(*ratios: float) -> list[str]:
+    """Return changes of ratios of errors in per cent: with one decimal if one of them is below 1 %, two below 0.1 %."""
+    changes = [100.0 * (ratio - 1.0) for ratio in ratios]
+    least = min(map(abs, changes))
+    places = 0 if least >= 1.0 else 1 if least >= 0.1 else 2
+    return [f"{change:+z.{places}f}" for change in changes]
 
 
 def _errors_sentence(result: CampaignsResult) -> str | None:
@@ -701,8 +736,8 @@ def _errors_sentence(result: CampaignsResult) -> str | None:
     begin = f"On the logs after, the prediction error {result.horizon:g} s ahead"
     if row.low is None or row.high is None:
         return f"{begin} changes by {100 * row.ratio - 100:+.0f} % {words}; the logs are too short for an interval."
-    interval = f"(95 %: {100 * row.low - 100:+.0f} to {100 * row.high - 100:+.0f} %)"
+    change, low, high = _percent_interval(row.ratio, row.low, row.high)
     verdict = {"fell": "falls", "rose": "rises", "unchanged": "does not change significantly"}[
         row.verdict or "unchanged"
     ]
-    return f"{begin} {verdict} {words}: {100 * row.ratio - 100:+.0f} % {interval}."
+    return f"{begin} {verdict} {words}: {change} % (95 %: {low} to {high} %)."

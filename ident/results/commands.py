@@ -228,7 +228,8 @@ def vehicle_result(
     tested = any(a.name.startswith("F_w") for a in homogeneity)  # the wind force: its sentence follows
     wind = "" if tested else wind_sentence(made, fitted.fit.model)
     candidate = candidate_sentence(posed.uncertainty) if searchable else ""
-    sentences = [fit_answer, candidate, straight_sentence(dynamics), course, wind]
+    straight = straight_sentence(dynamics, fitted, (e for e in fitted.fit.model.effects if e.place == "environment"))
+    sentences = [fit_answer, candidate, straight, course, wind]
     sentences += [homogeneity_sentence(a) for a in homogeneity]
     answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
     uncertainty, untested = posed.uncertainty, posed.assessment is None
@@ -255,6 +256,7 @@ def vehicle_result(
             *prior_notes(fitted.fit),
             *mass_notes(fitted.fit, posed.hull.get("mass"), uncertainty),
             *_notes(posed.notes, evaluation, calibration),
+            *mean_notes(fitted),
         ),
         common_errors=common_errors_row(common, fitted, evaluation.headline_set),
         dynamics=posed.dynamics,
@@ -275,6 +277,26 @@ def vehicle_result(
         profiles=tuple(profile_curve(p, reported) for p in profiles),
         homogeneity=tuple(homogeneity_row(a) for a in homogeneity),
     )
+
+
+def mean_notes(fitted: FittedModel) -> list[str]:
+    """Return the note that the rows of a fit are means of sensors that are faster than the rows; none without any.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        Model with its estimation records. Their ``meta["mean_rates"]`` has the sensors that are averaged.
+    """
+    rates: dict[str, float] = {}
+    for evaluated in fitted.estimation:
+        rates |= evaluated.record.meta.get("mean_rates", {})
+    if not rates:
+        return []
+    of = ", ".join(dict.fromkeys(rates))
+    return [
+        f"The rows are means at {max(rates.values()):.3g} Hz of the faster sensors ({of}): their estimated noise, and "
+        "the errors one step ahead, are those of the means."
+    ]
 
 
 @dataclass(frozen=True)

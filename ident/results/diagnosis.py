@@ -48,7 +48,6 @@ from seatrial.ident.model import (
     ParameterRole,
 )
 from seatrial.ident.models import effect_for, force_power
-from seatrial.ident.numerics import is_undetermined
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
     NAMES,
@@ -70,6 +69,7 @@ from seatrial.ident.results.answers import (
     prior_notes,
     short_data_warnings,
     simulated_durations,
+    sizes_undetermined,
     straight_sentence,
     warm_up_notes,
     wind_sentence,
@@ -185,6 +185,7 @@ def diagnosis_result(
     rounds = of_judging_data(tuple(rows), in_blocks)
     effects = of_judging_data(_effect_rows(diagnosis, role), in_blocks)
     bench = diagnosis.after.fit.model.kind is ModelKind.BENCH
+    straight = straight_sentence(dynamics, diagnosis.after, [r.effect for r in diagnosis.effects])
     answer, again = "", command_without_validation(made.command)
     if not failed:
         answer = diagnosis_answer(diagnosis, prediction, after.horizon, poor_channel(errors), bench=bench, again=again)
@@ -204,10 +205,7 @@ def diagnosis_result(
         answer=faults_first(made)
         + (
             failed
-            or late
-            + " ".join(
-                filter(None, [before_answer, answer, after_answer, worse, straight_sentence(dynamics), course, wind])
-            )
+            or late + " ".join(filter(None, [before_answer, answer, after_answer, worse, straight, course, wind]))
         ),
         caveat=None if failed else of_judging_data(diagnosis_caveat(diagnosis, bench=bench), in_blocks),
         prediction=prediction,
@@ -513,13 +511,13 @@ def _missing_effects_sentence(
     strongest = min(last.scores, key=lambda s: s.p)
     if strongest.p > CHANCE_P:
         return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
-    nearest = _nearest_effects(diagnosis, strongest.name, bench)
+    nearest, estimate = _nearest_effects(diagnosis, strongest.name, bench)
     failed = "improves the prediction" if last.outcome is Outcome.NO_BETTER_PREDICTION else "explains the residuals"
     return (
         f"The score tests contradict the model (the strongest one: {_score_titles(last)[strongest.name]}, "
         f"{_p_in_words(strongest.p)}), but no candidate {failed}: {why}. {nearest}A score test can "
         "find what the tests of whiteness and of the correlations with the inputs miss. "
-        f"{_all_logs_sentence(diagnosis, again, bench)} Look at the residuals in the report."
+        f"{_next_steps(diagnosis, estimate, again, bench)}"
     )
 
 
@@ -598,21 +596,41 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     return next((s.name for s in tested if s.p <= CHANCE_P and s.name not in known), "")
 
 
-def _all_logs_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
-    """Return the advice to diagnose all logs together, after a diagnosis that added nothing.
+def _next_steps(diagnosis: Diagnosis, estimate: str, again: str, bench: bool) -> str:
+    """Return what to do after a diagnosis that added nothing, as a numbered list in one line, the best step first.
 
-    With validation logs, these join the estimation; ``again`` is the command for this, which may be empty. ``bench``:
-    whether the model is that of a thruster on a bench.
+    The order is that of the evidence: all logs together decide about the effects that come nearest, and a fit only
+    estimates them. The last step is a longer record.
+
+    Parameters
+    ----------
+    diagnosis
+        Findings of the search, which added no effect.
+    estimate
+        Step that estimates the effects that come nearest (`_nearest_effects`); it may be empty.
+    again
+        Command of a diagnosis of all logs together, with those of validation; it may be empty.
+    bench
+        Whether the model is that of a thruster on a bench.
     """
     of, runs = ("this thruster on the bench", "tests") if bench else ("the boat", "runs")
-    if diagnosis.cross_validated:
-        return f"If there are further logs of {of}, add them to the estimation; otherwise record longer {runs}."
-    command = f": `{again}`" if again else ""
-    return (
-        f"Next, diagnose all logs of {of} together, without --validate{command}. An effect is then fitted to all of "
-        f"them, and each block of time is predicted by a fit to the others. If this adds nothing either, record longer "
-        f"{runs}."
-    )
+    steps = []
+    if not diagnosis.cross_validated:
+        command = f": `{again}`" if again else ""
+        steps.append(
+            f"Diagnose all logs of {of} together, without --validate{command}. An effect is then fitted to all of "
+            "them, and each block of time is predicted by a fit to the others."
+        )
+    if estimate:
+        steps.append(estimate)
+    if diagnosis.untried_waves is not None and not bench:
+        steps.append("Fit the model with `--effect waves`, and diagnose that model.")
+    add = f"add further logs of {of} to the estimation, or " if diagnosis.cross_validated else ""
+    last = f"{add}record longer {runs}, and look at the residuals in the report."
+    steps.append(f"If this adds nothing: {last}" if steps else f"{last[0].upper()}{last[1:]}")
+    if len(steps) == 1:
+        return f"Next: {steps[0][0].lower()}{steps[0][1:]}"
+    return f"Next steps, in this order: {' '.join(f'{k}. {step}' for k, step in enumerate(steps, 1))}"
 
 
 def _undecided_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
@@ -694,34 +712,38 @@ def _p_in_words(p: float) -> str:
     return f"p = {p:.1g}" if p > 0.0 else "p < 1e-300"
 
 
-def _nearest_effects(diagnosis: Diagnosis, strongest: str, bench: bool) -> str:
-    """Return the sentences on the effects with a formula that come nearest in a last round without an added effect.
+def _nearest_effects(diagnosis: Diagnosis, strongest: str, bench: bool) -> tuple[str, str]:
+    """Return sentences on the effects with a formula that come nearest in a last round without an added effect.
+
+    The second text is the step that estimates them (`_next_steps`).
 
     The data support them, but the validation data alone neither support nor contradict them (`Round.nearest`, which
     the recommended experiment takes too). The first `MOST_NEAREST` are given, with their sizes in the rough fits. If
     the candidate ``strongest`` of the score tests is not among them, a sentence says why. For a model of the ``bench``,
-    further logs are advised, because no fit takes its effects. The text ends with a space; it is empty if no effect
-    comes near.
+    further logs are advised, because no fit takes its effects. The first text ends with a space. Both are empty if no
+    effect comes near.
     """
     search_round = diagnosis.rounds[-1]
     near = search_round.nearest[:MOST_NEAREST]
     if not near:
-        return ""
+        return "", ""
     sizes = [", ".join(filter(None, (sizes_in_words(r.effect, r.fitted), f"t = {r.t:.1f}"))) for r in near]
     each = [f"{_title_of(r.effect, diagnosis)} ({size})" for r, size in zip(near, sizes, strict=True)]
     told = strongest in {r.effect.name for r in near} or _explains_only(search_round, strongest)
     left_out = "" if told else _why_not_near(search_round, strongest)
     them = "them" if len(near) > 1 else "it"
-    advice = f"{_fit_command([r.effect.name for r in near], diagnosis)} estimates {them} with the model."
+    advice, estimate = "", f"{_fit_command([r.effect.name for r in near], diagnosis)} estimates {them} with the model."
     if bench:
-        advice = f"A diagnosis with longer or further logs of the bench decides, and adds {them} if the data agree."
-    return (
+        advice = f"A diagnosis with longer or further logs of the bench decides, and adds {them} if the data agree. "
+        estimate = ""
+    found = (
         f"The effects that come nearest are {_joined_titles(each)}: the estimation data support them, and the "
-        f"validation data are too few to decide. {advice} "
+        f"validation data are too few to decide. {advice}"
         if len(near) > 1
         else f"The effect that comes nearest is {each[0]}: the estimation data support it, and the validation data are "
-        f"too few to decide. {advice} "
-    ) + left_out
+        f"too few to decide. {advice}"
+    )
+    return found + left_out, estimate
 
 
 def _explains_only(search_round: Round, name: str) -> bool:
@@ -1060,12 +1082,19 @@ def _is_size_undetermined(effect: Effect, diagnosis: Diagnosis) -> bool:
     The sizes are the parameters that are zero without the effect. The size is undetermined if the standard error of
     each of them is more than half of its estimate. The prediction is that over the horizon.
     """
-    sizes = [p for p in effect.parameters if p.free and p.value == 0.0]
     change = next((w.prediction for w in diagnosis.importances if w.effect == effect.name), None)
     fell = change is not None and change.verdict == "fell"
-    if not sizes or effect.kind is EffectKind.BETWEEN_RUNS or fell:
+    if effect.kind is EffectKind.BETWEEN_RUNS or fell:
         return False
-    return all(is_undetermined(*diagnosis.after.fit.estimate(p.name)) for p in sizes)
+    return sizes_undetermined(effect, diagnosis.after)
+
+
+def _size_on_card(effect: Effect, diagnosis: Diagnosis) -> str | None:
+    """Return the size of an added effect in words for its card, which agrees with the answer; None without words."""
+    words = in_words(effect, diagnosis.after)
+    if words and _is_size_undetermined(effect, diagnosis):
+        return f"not determined: each part has a standard error of more than half of it; the estimate is {words}"
+    return words or None
 
 
 def in_words(effect: Effect, fitted: FittedModel) -> str:
@@ -1416,7 +1445,7 @@ def _effect_rows(diagnosis: Diagnosis, role: Role) -> tuple[parts.EffectRow, ...
                 probability=_name_probability(diagnosis, judged.attribution),
                 not_excluded=tuple(judged.not_excluded),
                 parameters=effect_parameter_rows(r.effect, diagnosis.after),
-                in_words=in_words(r.effect, diagnosis.after) or None,
+                in_words=_size_on_card(r.effect, diagnosis),
                 prediction=None if weight.prediction is None else prediction_change(weight.prediction, role),
                 error_ratio_without=finite(weight.error_ratio),
                 gain_last=finite(weight.gain),

@@ -136,8 +136,13 @@ def _why_not_compared(fitted: FittedLogs, name: str) -> tuple[NotComparedCode, s
         # A value at a bound has no error. The mean of the other logs would be too far from the bound.
         flagged = np.array([(r[name]["flag"] or "").startswith(flag) for r in fitted.rows])
         if flagged.any():
-            where = (f"{int(flagged[part].sum())} of {int(part.sum())} logs" for part in (~fitted.after, fitted.after))
-            return code, "{} in {} before and {} after".format(flag, *where)
+            parts = (("before", ~fitted.after), ("after", fitted.after))
+            where = [
+                f"{int(flagged[part].sum())} of {int(part.sum())} logs {when}"
+                for when, part in parts
+                if flagged[part].any()
+            ]
+            return code, f"{flag} in {' and '.join(where)}"
     known = fitted.known(name)
     for after in (False, True):
         if not known[fitted.after == after].any():

@@ -9,6 +9,7 @@ compared at the samples that all of them predict.
 from __future__ import annotations
 
 import itertools
+import math
 import string
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,6 +35,7 @@ from seatrial.ident.parallel import Workers, run_many
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
+    FIT_OF_ALL,
     RUNS_AWAY,
     ComparedChannel,
     ComparedKind,
@@ -890,18 +892,21 @@ def _worse_words(worse: Sequence[tuple[ComparedModel, ComparedRatio]], reference
 
 
 def _evaluation_answer(result: ComparisonResult) -> str:
-    """Return the conclusion of the evaluation of one model: median fit and coverage over the first horizon.
+    """Return the conclusion of the evaluation of one model: fit and coverage over the first horizon.
 
-    The median is over the channels, and the coverage is of the errors of all channels together. Channels whose
-    intervals are too narrow or too wide by the test of calibration are named.
+    The fit of all channels is that of the answer of `seatrial ident vehicle` (`PredictionFit`). The coverage is of the
+    errors of all channels together. Channels whose intervals are too narrow or too wide by the test of
+    calibration are named.
     """
     seconds, label = result.horizons[0], result.models[0].label
     rows = [(row, e) for row in result.channels if row.seconds == seconds for e in row.errors if e.model == label]
-    fits = [e.fit for _, e in rows if e.fit is not None]
-    if not fits:
+    errors = [1.0 - e.fit for _, e in rows if e.fit is not None]
+    if not errors:
         return f"The logs have no prediction {seconds:g} s ahead."
-    median = 100.0 * float(np.median(fits))
-    words = f"{seconds:g} s ahead the fit is {median:.0f} % (median of {counted(len(fits), 'channel')})"
+    fit = 1.0 - math.prod(errors) ** (1.0 / len(errors))
+    words = f"{seconds:g} s ahead the fit of all channels is {100.0 * fit:.0f} %"
+    if len(errors) > 1:
+        words += f" ({FIT_OF_ALL} of {len(errors)} channels)"
     if (inside := result.inside_95("horizon", seconds, label)) is not None:
         words += f"; {100.0 * inside:.0f} % of the errors of all channels lie inside the 95 % intervals"
     words += "."

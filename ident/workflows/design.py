@@ -33,6 +33,7 @@ from seatrial.ident.estimation import (
     dynamic_parameters,
     leaves_validity,
     load_model,
+    model_file,
     reported_units,
     simulate,
 )
@@ -44,6 +45,7 @@ from seatrial.ident.experiment_design import (
     RATE,
     RELIABLE_T,
     REST_S,
+    SHAFT_POLE,
     SINGULAR,
     BaselineSignal,
     Design,
@@ -72,7 +74,7 @@ from seatrial.ident.experiment_design import (
     row_spacing,
     separation_if_repeated,
 )
-from seatrial.ident.model import Effect, Model, Parameter
+from seatrial.ident.model import Effect, Model, ModelKind, Parameter
 from seatrial.ident.models import effect_for, make_model
 from seatrial.ident.numerics import Array, violates_constraint
 from seatrial.ident.report import typeset_unit, write_design_page
@@ -105,6 +107,8 @@ APART_PHASES = (
     *("run twice", "with random sequences", "track"),
 )
 LONGEST_S = 3600.0  # s: a mission to distinguish two effects that would have to be longer is not recommended
+THRUST_KEPT = 0.9  # error of the thrust scale after a mission over that before: the mission hardly changes it
+THRUST_SHARE = 0.8  # share of the thrust scale in the error of a parameter, from which it sets the limit
 NAMED = 3  # parameters in the answer
 STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
 NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below it is taken as not found
@@ -150,6 +154,9 @@ class DesignRequest:
         Names of two effects to discriminate; empty: the mission is designed for the criterion.
     thrusters
         Names of the thrusters in the rig; empty: those of the model.
+    thruster
+        Bench model (a folder or a model.toml) whose time constant the shafts have; None: a built-in one. A model with
+        commands as inputs has its own shafts.
     """
 
     duration: float = 600.0
@@ -168,6 +175,7 @@ class DesignRequest:
     evaluations: int = 20_000
     between: tuple[str, ...] = ()
     thrusters: tuple[str, ...] = ()
+    thruster: Path | None = None
 
 
 def make_design(
@@ -325,7 +333,8 @@ def _design_warnings(made: Design) -> list[ResultWarning]:
     of these data.
     """
     task = made.problem
-    pole = None if task.actuation.shafts_are_states else task.actuation.pole
+    built_in = not task.actuation.shafts_are_states and task.pole == SHAFT_POLE
+    pole = task.pole if built_in else None
     warnings = design_warnings(task.model, task.actuation.full_thrust, pole)
     given_rates = {**task.fitted_rates, **task.rates}
     if assumed := [s.name for s in task.model.sensors if s.name not in given_rates]:
@@ -574,6 +583,8 @@ def make_task(
         process_noise=request.process_noise,
         seed=request.seed,
     )
+    if request.thruster is not None:
+        task = replace(task, pole=_shaft_pole(request.thruster, task.actuation.shafts_are_states))
     if not dynamic_parameters(model):
         raise SeatrialError(
             f"model {model.name} has no free parameters, so no mission can inform any; choose a model with free "
@@ -590,6 +601,25 @@ def make_task(
         *((h.model, np.array([list(h.model.values.values())])) for h in compared),
     ]
     return replace(task, grid=row_spacing(members, GRID, request.n_max)), compared
+
+
+def _shaft_pole(path: Path, shafts_are_states: bool) -> float:
+    """Return the pole [1/s] of the shaft of a bench model, for a model whose inputs are no commands.
+
+    Raise SeatrialError for a model with commands, which has its own shafts, and for a file without a pole.
+    """
+    if shafts_are_states:
+        raise SeatrialError(
+            "--thruster: the inputs of this model are commands, so that it has its own shafts; leave it out"
+        )
+    saved = load_model(model_file(path))
+    pole = saved.model.values.get("a", 0.0) if saved.model.kind is ModelKind.BENCH else 0.0
+    if pole <= 0.0:
+        raise SeatrialError(
+            f"--thruster {path}: this is no model of a thruster with a time constant; give the folder of "
+            "`seatrial ident thruster`"
+        )
+    return float(pole)
 
 
 def search_state(merit: float, value: str) -> str:
@@ -903,11 +933,37 @@ def _design_answer(
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     duration = made.problem.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
+    errors += thrust_limit_sentence(parameters)
     if not is_larger(baseline.value, made.value):
         return errors
     warning = warn_worse_than_baseline(baseline, made.problem, made.problem.criterion, made.value)
     # A mission that keeps limits is no failure if it informs less than one that ignores them.
     return f"{errors}. {warning.removesuffix('.')}" if made.problem.limits.bind else f"{warning} {errors}"
+
+
+def thrust_limit_sentence(parameters: Sequence[DesignedParameter]) -> str:
+    """Return the sentence that the error of the thrust limits those of masses and damping after a mission; often empty.
+
+    The motion determines a mass only as a ratio to the thrust. Its relative error is then nearly that of the thrust
+    scale c1, which no mission reduces. The sentence names the chosen parameters in kg of which this error is at least
+    `THRUST_SHARE` of the whole one. It begins with a full stop and has none at its end. ``parameters`` are the rows of
+    the result.
+    """
+    scale = next((p for p in parameters if p.name == "c1" and p.value), None)
+    if scale is None or not scale.after or not scale.before or scale.after < THRUST_KEPT * scale.before:
+        return ""
+    share = scale.after / abs(scale.value)
+    limited = [
+        p.name
+        for p in parameters
+        if p.chosen and p.unit.startswith("kg") and p.after and share * abs(p.value) >= THRUST_SHARE * p.after
+    ]
+    if not limited:
+        return ""
+    return (
+        f". The thrust scale (c1 ± {100.0 * share:.2g} %) sets this limit for {' and '.join(limited)}, so that no "
+        "mission helps much more: measure the bollard pull better"
+    )
 
 
 def is_larger(criterion: float, than: float) -> bool:

@@ -132,6 +132,9 @@ class DesignOptions(TypedDict, total=False):
         Largest magnitude of a command, 0 to 1 (full command); 1 by default.
     slew : float
         Slew limit of a command [1/s]. No limit by default.
+    thruster : path
+        Bench model (folder or model.toml) whose time constant the shafts have; 358 ms by default. A model with commands
+        as inputs has its own shafts.
     shortest : float
         Length of the shortest step [s], 1 s by default.
     rates : dict of str to float
@@ -160,6 +163,7 @@ class DesignOptions(TypedDict, total=False):
     current: float
     n_max: float
     slew: float
+    thruster: PathLike
     shortest: float
     rates: Mapping[str, float]
     prior_halfwidth: float
@@ -494,7 +498,8 @@ def design(
         Whether existing files are replaced. If false, an existing file is an error.
     **options
         `DesignOptions`, which ``help(st.DesignOptions)`` describes: duration, steps, criterion, chosen, between, area,
-        max_speed, energy, current, n_max, slew, shortest, rates, prior_halfwidth, evaluations, seed, progress.
+        max_speed, energy, current, n_max, slew, thruster, shortest, rates, prior_halfwidth, evaluations, seed,
+        progress.
 
     Returns
     -------
@@ -528,6 +533,8 @@ def design(
         given["spread"] = given.pop("prior_halfwidth")
     area, speed, energy, current = (given.pop(name, None) for name in ("area", "max_speed", "energy", "current"))
     limits = DesignLimits(None if area is None else as_sides("area", area), speed, energy, current or 0.0)
+    if "thruster" in given:
+        given["thruster"] = as_path(given["thruster"], "thruster")
     fitted = isinstance(model, FittedVehicle | FittedDiagnosis | Saved) or Path(str(model)).exists()
     with errors_of_users(OF_DESIGN), model_path(model) if fitted else nullcontext(Path(str(model))) as source:
         request = DesignRequest(**given, limits=limits)

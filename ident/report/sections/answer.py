@@ -28,6 +28,7 @@ from seatrial.ident.results import (
 )
 
 MAX_KEY_PARAMETERS = 9
+FINE_PERCENT = 1.0  # change of the prediction error below which it has a decimal: "0 % larger" says nothing
 
 
 def section(result: Result) -> Section:
@@ -146,14 +147,14 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
     for row in effect.parameters:
         parameters.append((row.name, formatting.estimate_of_effect(row), row.meaning))
     alternatives = [f"{a.name} ({_criterion_in_words(a.criterion_behind, a.why_not)})" for a in effect.alternatives]
-    facts = (
+    facts: tuple[tuple[str, str | tuple[str, ...] | None], ...] = (
         ("In words", effect.in_words),
         ("Acts on", effect.place),
         ("Look for", effect.causes),
         ("Source", effect.source),
         ("Shown by", effect.experiment),
         ("Fitted in its place, ΔBIC", ", ".join(alternatives)),
-        ("Attribution", attribution_words(effect)),
+        ("Attribution", attribution_points(effect)),
     )
     return EffectCard(
         effect.title or effect.name,
@@ -183,35 +184,39 @@ def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> 
         return "", ""
     error = f"prediction error {horizon:g} s ahead with this effect"
     shift = 100 * (change.ratio - 1)
+    places = 0 if abs(shift) >= FINE_PERCENT else 1
     ends = None if change.low is None or change.high is None else [100 * (r - 1) for r in (change.low, change.high)]
     within = ""
     if ends is not None and change.verdict == "unchanged":
-        within = f"95 %: {_signed(ends[0])} to {_signed(ends[1])} %"
+        within = f"95 %: {_signed(ends[0], places)} to {_signed(ends[1], places)} %"
     elif ends is not None:
         least, most = sorted(map(abs, ends))
-        within = f"95 %: {least:.0f} to {most:.0f} %"
+        within = f"95 %: {least:.{places}f} to {most:.{places}f} %"
     if change.verdict == "unchanged":
         reason = "not significant" if ends is not None else "the data are too short for an interval"
-        return f"{_signed(shift)} %", f"change of the {error}, {reason}{f' ({within})' if within else ''}"
-    return f"{abs(shift):.0f} %", f"{'smaller' if shift < 0.0 else 'larger'} {error}{f' ({within})' if within else ''}"
+        return f"{_signed(shift, places)} %", f"change of the {error}, {reason}{f' ({within})' if within else ''}"
+    return (
+        f"{abs(shift):.{places}f} %",
+        f"{'smaller' if shift < 0.0 else 'larger'} {error}{f' ({within})' if within else ''}",
+    )
 
 
-def _signed(percent: float) -> str:
-    """Return a percentage without decimals, with its sign: a plus or a true minus sign."""
-    return f"{percent:+.0f}".replace("-", "\N{MINUS SIGN}")
+def _signed(percent: float, places: int) -> str:
+    """Return a percentage with this number of decimals and its sign, a plus or a true minus sign. Zero has a plus."""
+    return f"{percent:+z.{places}f}".replace("-", "\N{MINUS SIGN}")
 
 
-def attribution_words(effect: EffectRow) -> str:
-    """Return the attribution of an added effect in words: how far its name can be trusted.
+def attribution_points(effect: EffectRow) -> tuple[str, ...]:
+    """Return the attribution of an added effect as items of a list: how far its name can be trusted.
 
-    If the attribution is ambiguous, the text has the reasons and the effects that are not excluded. It ends with the
-    share of such names that are right, if it is known.
+    If the attribution is ambiguous, the items are the reasons and the effects that are not excluded. The last item is
+    the share of such names that are right, if it is known.
     """
-    odds = ""
+    odds: list[str] = []
     if effect.probability is not None:
         share = formatting.percent(effect.probability)
-        odds = (
-            f"; on simulated boats with known effects, {share} of such names were right, which is no probability for "
+        odds.append(
+            f"on simulated boats with known effects, {share} of such names were right, which is no probability for "
             "this boat"
         )
     if effect.attribution == "ambiguous":
@@ -222,12 +227,13 @@ def attribution_words(effect: EffectRow) -> str:
         # An effect with a far worse ΔBIC in this place may still be there beside this effect, by its score test.
         rule = "not excluded, by ΔBIC or by the tests with this effect in the model"
         reasons = [*effect.reasons, *([f"{rule}: {', '.join(alternatives)}"] if alternatives else [])]
-        return "ambiguous; " + "; ".join(reasons) + odds
-    return {
+        return ("ambiguous", *reasons, *odds)
+    found = {
         "identified": "identified: the effect keeps its size beside the candidates that remain, and no other effect "
         "explains about as much (a curve may, but it is no explanation)",
         "nonparametric": "nonparametric: no known effect explains the residual; the curve is estimated from the data",
-    }[effect.attribution] + odds
+    }[effect.attribution]
+    return (found, *odds)
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:

@@ -31,6 +31,7 @@ FAMILIES = {
 CAMPAIGNS: tuple[Literal["before", "after"], ...] = ("before", "after")
 COLORS = {"before": drawing.BEFORE, "after": drawing.MODEL}
 SYMBOLS = {"before": "circle-open", "after": "circle"}
+INTERVAL = 0.95  # level of the intervals; the joint test is significant beyond it
 SHORT_UNIT = 3  # characters; with longer ones beside the numbers the table is wider than a window (it has them once)
 MOST_LABELS = 24  # logs whose names fit beside a figure
 ROW_PX, REST_PX = 20, 62  # height of a log's row in a figure, and of the axis below
@@ -127,11 +128,20 @@ def effects_caption(result: CampaignsResult) -> str:
 
 
 def joint_words(result: CampaignsResult) -> str:
-    """Return the p value of all parameters together as a sentence; empty without this test."""
+    """Return the p value of all parameters together as a sentence; empty without this test.
+
+    A second sentence says which numbers count if the test is not significant although single parameters have changed.
+    """
     if result.joint is None or result.joint.p is None:
         return ""
     words = formatting.p_equals(result.joint.p)
-    return f"All {len(result.joint.parameters)} parameters together: p {words} for no change at all."
+    text = f"All {len(result.joint.parameters)} parameters together: p {words} for no change at all."
+    if result.changed and result.joint.p > 1.0 - INTERVAL:
+        text += (
+            " Trust the q values of the single parameters: this test spreads over all directions, in which a change of "
+            "few parameters is small."
+        )
+    return text
 
 
 def changes_section(result: CampaignsResult) -> Section:

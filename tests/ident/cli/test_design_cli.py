@@ -10,7 +10,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -35,9 +35,11 @@ from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits, DesignProblem
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.thruster import thruster_model
 from seatrial.ident.report import write_design_page
 from seatrial.ident.reporter import QUIET, TimeLeft
-from seatrial.ident.results import DesignResult, Discrimination, read_result
+from seatrial.ident.results import DesignedParameter, DesignResult, Discrimination, read_result
+from seatrial.ident.workflows import design as workflow
 from seatrial.ident.workflows.design import (
     APART_PHASES,
     DesignRequest,
@@ -51,6 +53,7 @@ from seatrial.ident.workflows.design import (
     make_design,
     make_task,
     search_state,
+    thrust_limit_sentence,
     warn_worse_than_baseline,
 )
 
@@ -315,6 +318,35 @@ def test_a_design_with_limits_says_first_what_it_achieves(value: float, worse: b
     assert not answer.endswith(".")  # the sentence on the area follows
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "error", "said"),
+    [(4.5, 4.2, 4.0, True), (4.5, 4.2, 5.5, False), (4.5, 1.0, 4.0, False), (None, None, 4.0, False)],
+)
+def test_an_error_that_the_thrust_limits_is_named(
+    before: float | None, after: float | None, error: float, said: bool
+) -> None:
+    """The answer did not say that no mission can determine m_u better than its thrust scale."""
+    rows = tuple(
+        DesignedParameter(
+            name=name, meaning="", unit=unit, value=value, before=was, after=now, form=now, baseline=now, chosen=chosen
+        )
+        for name, unit, value, was, now, chosen in (
+            ("c1", "N", 75.7, before, after, False), ("m_u", "kg", 69.5, 4.7, error, True),
+            ("d_u", "kg/s", 4.0, 4.0, 2.0, True), ("Y_r", "kg m/s", 50.0, 2.8, 2.8, False),
+        )
+    )  # fmt: skip
+    sentence = thrust_limit_sentence(rows)
+    wanted = (
+        ". The thrust scale (c1 ± 5.5 %) sets this limit for m_u, so that no mission helps much more: measure the "
+        "bollard pull better"
+    )
+    assert sentence == (wanted if said else "")
+    problem: Any = SimpleNamespace(limits=DesignLimits(), criterion="D", steps=SimpleNamespace(duration=240.0))
+    made: Any = SimpleNamespace(problem=problem, value=60.0)
+    answer = _design_answer(made, rows, None, cast(Any, SimpleNamespace(kind="PRBS", value=52.0)))
+    assert answer.endswith(sentence)
+
+
 def test_the_help_of_the_area_says_that_a_boat_may_leave_it(capsys: pytest.CaptureFixture[str]) -> None:
     text = " ".join(run(capsys, "design", "--help")[1].split())
     assert "The tracks of 24 boats of the prior keep to it; your boat may leave it" in text
@@ -443,6 +475,26 @@ def test_fitted_model_gives_its_covariance_to_the_design(
     assert dict(mission.prediction.errors_before) == {"m_u": pytest.approx(0.19 / thrust, rel=1e-3)}
     assert mission.predicted_errors["m_u"] < 0.19 / thrust
     assert "tau_b" not in mission.predicted_errors
+
+
+def test_the_shafts_have_the_time_constant_of_a_bench_model(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = {"bench": thruster_model().with_values({"a": 4.0}), "boat": horizontal_model("shaft")}
+    monkeypatch.setattr(workflow, "load_model", lambda path: SimpleNamespace(model=models[path.stem]))
+    request = DesignRequest(duration=60.0, steps=8, thruster=Path("bench"))
+    task, _ = make_task("horizontal:shaft", request, QUIET)
+    assert (task.pole, task.actuation.pole) == (4.0, 4.0)
+    built_in, _ = make_task("horizontal:shaft", replace(request, thruster=None), QUIET)
+    assert built_in.actuation.pole == pytest.approx(1 / 0.358, rel=0.01)
+    with pytest.raises(SeatrialError, match="--thruster: the inputs of this model are commands"):
+        make_task("horizontal:command", request, QUIET)
+    with pytest.raises(SeatrialError, match="boat: this is no model of a thruster with a time constant"):
+        make_task("horizontal:shaft", replace(request, thruster=Path("boat")), QUIET)
+    out = tmp_path / "turn.toml"
+    status, output, err = run(capsys, "design", "yaw", *QUICK, "--thruster", "bench", "--out", str(out))
+    assert status == 0, err
+    assert "time constant of the shafts" not in output
 
 
 def test_one_input_is_realised_by_two_thrusters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,6 +51,7 @@ from seatrial.ident.results.diagnosis import (
     _mismatch_row,
     _notes,
     _quiet_round,
+    _size_on_card,
     _two_velocities_sentence,
     _untested_warnings,
     command_without_validation,
@@ -341,6 +342,7 @@ def test_headline_says_that_the_size_of_an_effect_is_not_determined(
 ) -> None:
     walk = Effect("walk", "propeller walk", {}, (Parameter("k", 0.0), Parameter("x_walk", -0.8)))
     fit = type("Fit", (), {"estimate": lambda _, name: {"k": (0.006, error)}[name], "flags": ()})()
+    fit.model = SimpleNamespace(parameters=())
     chosen = Refit(walk, blank(fit=fit), 90.0, 1, 82.0, 30.0, 4.0)
     found = Diagnosis(
         blank(), blank(fit=fit, cross_validated=False), (Round((), (), (chosen,), chosen),), (), (),
@@ -350,6 +352,11 @@ def test_headline_says_that_the_size_of_an_effect_is_not_determined(
     answer = diagnosis_answer(found, None, 10.0)
     assert answer.startswith("The missing effect resembles propeller walk")
     assert ("(its size is not determined)" in answer) is said
+    words = replace(walk, in_words=lambda estimates: "6 N to port")
+    told = _size_on_card(words, found)
+    assert told is not None
+    assert told.endswith("6 N to port")
+    assert told.startswith("not determined: each part") is said
 
 
 def test_round_without_a_significant_score_lists_the_tested_candidates() -> None:
@@ -477,9 +484,14 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
     found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, ("wind",), refits, None),), (), ())
     assert (
         "The effects that come nearest are battery (t = 1.7) and wind (t = 0.9): the estimation data support them, and "
-        "the validation data are too few to decide. `seatrial ident vehicle --effect battery --effect wind` estimates "
-        "them with the model. A score test can find" in diagnosis_answer(found, None, 10.0)
+        "the validation data are too few to decide. A score test can find" in diagnosis_answer(found, None, 10.0)
     )
+    waves = replace(found, untried_waves=0.55)
+    steps = diagnosis_answer(waves, None, 10.0).partition("Next steps, in this order: ")[2]
+    starts = ("1. Diagnose all logs", "2. `seatrial ident vehicle --effect battery --effect wind` estimates them")
+    places = [steps.index(x) for x in (*starts, "3. Fit the model with `--effect waves`", "4. If this adds nothing:")]
+    assert places == sorted(places)
+    assert places[0] == 0
     one = replace(found, rounds=(replace(found.rounds[0], refits=refits[2:]),))
     assert "The effect that comes nearest is battery (t = 1.7): the estimation data support it" in diagnosis_answer(
         one, None, 10.0
@@ -509,12 +521,12 @@ def test_a_diagnosis_with_validation_that_adds_nothing_names_that_of_all_logs() 
     command = "seatrial ident diagnose vehicle/model.toml 1.mcap 2.mcap --validate 3.mcap --out diagnosis"
     again = command_without_validation(command)
     assert again == "seatrial ident diagnose vehicle/model.toml 1.mcap 2.mcap 3.mcap --out diagnosis-all"
-    said = f"Next, diagnose all logs of the boat together, without --validate: `{again}`. An effect is then fitted to"
+    said = f"1. Diagnose all logs of the boat together, without --validate: `{again}`. An effect is then fitted to"
     assert said in diagnosis_answer(found, None, 10.0, again=again)
     assert "together, without --validate. An effect" in diagnosis_answer(found, None, 10.0)  # from Python
     every = replace(found, after=blank(cross_validated=True))
     answer = diagnosis_answer(every, None, 10.0)
-    assert "If there are further logs of the boat, add them to the estimation; otherwise record longer runs." in answer
+    assert "If this adds nothing: add further logs of the boat to the estimation, or record longer runs, and" in answer
     assert "without --validate:" not in answer
 
 
@@ -702,8 +714,8 @@ def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None
     found = Diagnosis(blank(), blank(cross_validated=False), (Round(scores, (), (undecided,), None),), (), ())
     answer = diagnosis_answer(found, None, 1.0, bench=True)
     assert "too few to decide. A diagnosis with longer or further logs of the bench decides, and adds it if" in answer
-    assert "Next, diagnose all logs of this thruster on the bench together, without --validate. An effect" in answer
-    assert "this adds nothing either, record longer tests." in answer
+    assert "1. Diagnose all logs of this thruster on the bench together, without --validate. An effect" in answer
+    assert "If this adds nothing: record longer tests, and look" in answer
     left = replace(found, removed=(RemovedEffect(refit("cell-lag", 30.0).effect, 662.0, 6.6, SAME),))
     removed = diagnosis_answer(left, None, 1.0, bench=True)
     assert "is no better with it." in removed
@@ -724,7 +736,7 @@ def test_a_diagnosis_of_a_bench_names_no_boat_and_no_command_of_a_boat() -> None
     ("wind", "said"),
     [
         (refit("wind", 11.0, gain=14.9, t=1.6), "nearest are wind (t = 1.6) and pull (t = 1.4): the estimation"),
-        (refit("wind", 11.0, gain=14.9, t=1.1), "the model. Wind is not among them: its t is smaller, 1.1. A"),
+        (refit("wind", 11.0, gain=14.9, t=1.1), "too few to decide. Wind is not among them: its t is smaller, 1.1. A"),
         (
             refit("wind", 7.0, gain=1.4, t=1.6),
             "Wind is not among them: its fit gains 15 in 2 ln L on the estimation data, little for 1 parameter, and "

@@ -307,9 +307,18 @@ def test_model_with_thrust_input_has_the_same_motion_and_a_slope_at_rest() -> No
     exec(compile(text, "boat.py", "exec"), space)
     found = [space["shaft_speed"](f) for f in thrusts[:, 0]]
     np.testing.assert_allclose(found, speeds[:, 0], rtol=1e-12)
+    solver: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(export(saved(model), "casadi", thrust_input=True), "boat_casadi.py", "exec"), solver)
+    for file in (space, solver):
+        c1, c2 = file["THRUST_CURVE"]
+        assert (file["shaft_speed"](1.04 * (c1 + c2)), file["shaft_speed"](-1.04 * (c1 - c2))) == (1.0, -1.0)
+        with pytest.warns(
+            UserWarning, match=r"^the thrust -80 N is beyond full speed, -\d+\.?\d* to \d+\.?\d* N: full"
+        ):
+            assert file["shaft_speed"](-80.0) == -1.0
     slopes = []
     for options in ({}, {"thrust_input": True}):
-        solver: dict[str, Any] = {"__name__": "boat"}
+        solver = {"__name__": "boat"}
         exec(compile(export(saved(model), "casadi", **options), "boat.py", "exec"), solver)
         x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
         jacobian = ca.Function("J", [x, u], [ca.jacobian(solver["f"](x, u, solver["DEFAULTS"]), u)])

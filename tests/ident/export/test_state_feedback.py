@@ -174,6 +174,11 @@ def test_feedback_is_written_to_files(linear: LinearModel, tmp_path: Path) -> No
     with pytest.raises(SeatrialError, match=r"control\.mat: the file exists already; force=True replaces it"):
         control.to_mat(tmp_path / "control.mat")
     control.to_json(tmp_path / "control.json", force=True)
+    shafts = {"T_n": 0.3, "tau_n": 0.1, "dead_zone": 0.05}
+    file = control.to_json(tmp_path / "control.json", force=True, shafts=shafts | {"m_u": 60.0})
+    assert json.loads(file.read_text(encoding="utf-8")) == data | {"shafts": shafts}
+    with pytest.raises(SeatrialError, match=r"shafts: dead_zone is missing; give P of the exported model"):
+        control.to_json(tmp_path / "other.json", shafts={"T_n": 0.3, "tau_n": 0.1})
     (tmp_path / "of a folder.json").mkdir()
     with pytest.raises(SeatrialError, match=r"of a folder\.json: exists already, and is a folder, a pipe or a device"):
         control.to_json(tmp_path / "of a folder.json")  # force would not replace it

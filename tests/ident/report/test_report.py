@@ -122,6 +122,20 @@ def test_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page
         ),
         (1.25, 1.1, 1.4, "rose", "25 % larger prediction error 10 s ahead with this effect"),
         (
+            1.004,
+            0.9996,
+            1.02,
+            "unchanged",
+            "+0.4 % change of the prediction error 10 s ahead with this effect, not significant (95 %: +0.0 to +2.0 %)",
+        ),
+        (
+            1.004,
+            1.001,
+            1.02,
+            "rose",
+            "0.4 % larger prediction error 10 s ahead with this effect (95 %: 0.1 to 2.0 %)",
+        ),
+        (
             0.5,
             None,
             None,
@@ -137,6 +151,15 @@ def test_importance_is_the_change_over_the_horizon(
     (effect, *_) = loaded(small | {"effects": [small["effects"][0] | {"prediction": change}]}).effects
     card = effect_card(effect, 10.0)
     assert f"{card.importance} {card.importance_words}".startswith(shown)
+
+
+def test_attribution_of_a_card_is_a_list(small: dict[str, Any], tmp_path: Path) -> None:
+    row = small["effects"][0] | {"attribution": "ambiguous", "reasons": ["first", "second"], "not_excluded": ["wind"]}
+    (effect, *_) = loaded(small | {"effects": [row]}).effects
+    points = dict(effect_card(effect, 10.0).facts)["Attribution"]
+    assert points[:3] == ("ambiguous", "first", "second")
+    assert points[3].startswith("not excluded, by ΔBIC")
+    assert "<ul><li>ambiguous</li><li>first</li><li>second</li>" in written(small | {"effects": [row]}, tmp_path)
 
 
 def test_terminal_says_that_the_mass_was_not_compared_with_a_weighed_one() -> None:

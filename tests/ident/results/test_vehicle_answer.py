@@ -22,7 +22,7 @@ from seatrial.ident.estimation.maximum_likelihood import fit
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.model.outlier_density import with_outlier_model
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
-from seatrial.ident.model.structure import ModelKind
+from seatrial.ident.model.structure import Effect, ModelKind
 from seatrial.ident.models import horizontal_model
 from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.results.answers import (
@@ -349,8 +349,9 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     fitted = PredictionFit(role="estimation", fit=0.905, low=0.88, high=0.92)
     answer = vehicle_answer(fitted, errors, horizon, [], [], searchable=True)
     assert answer.startswith(
-        f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %). Best "
-        "channel: 99 % (position north); worst: 10 % (surge specific force). "
+        f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %). It "
+        "is 1 - geometric mean of error / standard deviation of 2 channels. Best channel: "
+        "99 % (position north); worst: 10 % (surge specific force). "
     )
     worst = LargestErrorsRow(record="morning", begin=20.0, end=40.0, share=0.61)
     wide = PredictionFit(role="estimation", fit=0.78, low=-17.65, high=1.0, largest_errors=worst)
@@ -769,6 +770,16 @@ def test_answer_has_the_headings_on_which_a_boat_in_wind_needs_most(
     )
     found = straight_sentence(Dynamics(points=(point,), conditions={"psi": 0.0}, headings=headings))
     assert found == (sentence if turns else "")
+
+
+@pytest.mark.parametrize(("error", "said"), [(0.6, False), (0.4, True), (np.nan, True)])
+def test_inputs_of_a_straight_course_need_effects_of_known_size(error: float, said: bool) -> None:
+    """The answer stated them as a fact although they rested on a wind moment of -0.036 with an error of 0.021."""
+    inputs = {"n_left": 0.6, "n_right": 0.5}
+    point = OperatingPoint(speed=0.8, inputs=inputs, real=np.zeros(0), imaginary=np.zeros(0), stable=True)
+    wind = Effect("wind", "steady wind", {}, (Parameter("w_n", 0.0), Parameter("k_air", 0.3)))
+    fitted: Any = SimpleNamespace(fit=SimpleNamespace(estimate=lambda name: (1.0, error)))
+    assert bool(straight_sentence(Dynamics(points=(point,)), fitted, [wind])) is said
 
 
 def test_the_sentence_on_the_stability_says_how_its_speed_is_chosen() -> None:

@@ -131,10 +131,10 @@ def test_mpc_with_shaft_speeds_stays_at_rest(folder: Path) -> None:
     code = blocks(PAGE, "python")[5]
     for old, new in (
         (
-            "boat_casadi import DEFAULTS, STATES, make_step, shaft_speed",
+            "boat_casadi import DEFAULTS, STATES, THRUST_CURVE, make_step, shaft_speed",
             "shafts_casadi import DEFAULTS, STATES, make_step",
         ),
-        ("LIMIT = 0.2, 25, 38.0", "LIMIT = 0.2, 25, 1.0"),
+        ("c1, c2 = THRUST_CURVE\nASTERN, AHEAD = -SHARE * (c1 - c2), SHARE * (c1 + c2)", "ASTERN, AHEAD = -1.0, 1.0"),
         ("[shaft_speed(force) for force in found.value(f)[:, 0]]", "found.value(f)[:, 0]"),
         ("range(75)", "range(3)"),
         ("after 15 s", "shaft speeds"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import math
@@ -80,7 +81,7 @@ class Ros:
                 ros.logged.append((kind, text))
 
         def message(**values: Any) -> Any:
-            return types(**values)
+            return types(**{"data": 0.0} | values)
 
         parts: dict[str, dict[str, Any]] = {
             "rclpy": {"init": self.init, "spin": self.spin, "shutdown": self.shutdown},
@@ -91,11 +92,12 @@ class Ros:
             "nav_msgs": {}, "nav_msgs.msg": {"Odometry": message},
             "geometry_msgs": {}, "geometry_msgs.msg": {"TwistStamped": message},
             "sensor_msgs": {}, "sensor_msgs.msg": {"Imu": message, "NavSatFix": message},
-            "std_msgs": {}, "std_msgs.msg": {"Float64": message},
+            "std_msgs": {}, "std_msgs.msg": {"Float64": message, "Float32": message, "Header": type("Header", (), {})},
         }  # fmt: skip
         made = {name: ModuleType(name) for name in parts}
         for name, values in parts.items():
             vars(made[name]).update(values)
+        vars(made["std_msgs"])["msg"] = made["std_msgs.msg"]
         return made
 
     def init(self, signal_handler_options: str) -> None:
@@ -169,19 +171,17 @@ class Ros:
         return [text for kind, text in self.logged if kind == "error"]
 
 
-OLD = 'MODEL, PLANT = "boat", "plant"'
-
-
-def boat_of_page(folder: Path, monkeypatch: pytest.MonkeyPatch, model: str, plant: str) -> Ros:
-    """Write the feedback of the model as the page tells, and return ROS with the exported boat ``plant``."""
+def boat_of_page(folder: Path, monkeypatch: pytest.MonkeyPatch, block: int, plant: str) -> Ros:
+    """Write the feedback by the block of the page, and return ROS with the exported boat ``plant``."""
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(folder)
-    code = blocks(PAGE, "python")[9]
-    assert OLD in code
+    code = blocks(PAGE, "python")[block]
+    assert "control.to_json(" in code
     for name in ("plant", "commanded"):  # other tests have models of the same names
         monkeypatch.delitem(sys.modules, name, raising=False)
-    found = run_python(code.replace(OLD, f'MODEL, PLANT = "{model}", "{plant}"'), str(PAGE))
-    made = Ros(sys.modules.pop(plant))
+    found = run_python(code, str(PAGE))
+    made = Ros(importlib.import_module(plant))
+    del sys.modules[plant]
     made.control = found["control"]
     made.start()
     return made
@@ -190,13 +190,13 @@ def boat_of_page(folder: Path, monkeypatch: pytest.MonkeyPatch, model: str, plan
 @pytest.fixture
 def ros(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ros:
     """Return ROS with the boat of the page, whose inputs are shaft speeds."""
-    return boat_of_page(folder, monkeypatch, "boat", "plant")
+    return boat_of_page(folder, monkeypatch, 9, "plant")
 
 
 @pytest.fixture
 def commanded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Ros:
     """Return ROS with the boat of the page whose inputs are commands."""
-    return boat_of_page(folder, monkeypatch, "command", "commanded")
+    return boat_of_page(folder, monkeypatch, 10, "commanded")
 
 
 @pytest.fixture
@@ -424,7 +424,7 @@ def test_a_silent_sensor_stops_the_thrusters(topic: str, node: Any, ros: Ros) ->
         assert min(ros.commands(1)) > 0.1
         assert not ros.errors
         ros.silent.add(topic)
-        ros.sail(node.STALE - 0.1)
+        ros.sail(ros.node.get_parameter("stale").value - 0.1)
         assert min(ros.commands(1)) > 0.1
         ros.sail(0.3)
         assert ros.commands(1) == [0.0, 0.0]
@@ -506,7 +506,7 @@ def test_an_exception_in_a_callback_stops_the_thrusters(place: str, node: Any, r
         if place == "subscription":
             ros.heard[ODOMETRY](SimpleNamespace(pose=None, twist=None))
         else:
-            del ros.node.feedback["gain"]
+            del ros.node.feedback["K"]
             ros.sail(1.0)
 
     with pytest.raises(AttributeError if place == "subscription" else KeyError):
@@ -596,11 +596,56 @@ def test_shaft_speeds_with_a_topic_are_taken_from_it(
     run(node_of_commands, commanded, scenario)
 
 
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"K": None}, r"feedback\.json lacks K: write it by control\.to_json"),
+        ({"x0": [0.0]}, r"feedback\.json: K needs 2 rows of 4 numbers, x0 4 and u0 2"),
+        ({"shafts": {"T_n": 0.3}}, r"shafts lacks tau_n, dead_zone: write it by control\.to_json\(\.\.\., shafts=P\)"),
+    ],
+)
+def test_a_file_that_lacks_numbers_is_refused_at_the_start(
+    changed: dict[str, Any], said: str, node: Any, ros: Ros
+) -> None:
+    """A file of `to_json` gave a KeyError at the first thrust."""
+    feedback = json.loads(Path("feedback.json").read_text(encoding="utf-8")) | changed
+    kept = {name: value for name, value in feedback.items() if value is not None}
+    Path("feedback.json").write_text(json.dumps(kept), encoding="utf-8")
+    with pytest.raises(ValueError, match=said):
+        run(node, ros, lambda: None)
+    assert not any(ros.sent.values())
+
+
+def test_age_and_type_of_messages_are_parameters(node: Any, ros: Ros) -> None:
+    ros.parameters |= {"stale": 1.0, "message": "Float32"}
+
+    def scenario() -> None:
+        ros.sail(10.0)
+        ros.silent.add(IMU)
+        ros.sail(0.8)
+        assert min(ros.commands(1)) > 0.1
+        ros.sail(0.4)
+        assert ros.commands(1) == [0.0] * 2
+
+    run(node, ros, scenario)
+    assert any("no valid message within 1 s on /imu/data" in text for text in ros.errors)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("stale", 0.0), ("stale", math.nan), ("message", "Header"), ("message", "F")]
+)
+def test_invalid_age_or_type_is_refused(name: str, value: Any, node: Any, ros: Ros) -> None:
+    ros.parameters[name] = value
+    with pytest.raises(ValueError, match=f"the parameter {name} is {value}; it must be"):
+        run(node, ros, lambda: None)
+
+
 @pytest.mark.parametrize("missing", ["n_left", "bank_angle"])
 def test_a_state_without_a_message_or_an_estimate_is_refused(missing: str, node: Any, ros: Ros) -> None:
     """The file of a model of shaft speeds has no model of the shafts."""
     feedback = json.loads(Path("feedback.json").read_text(encoding="utf-8"))
     feedback["states"] = [*feedback["states"], missing]
+    feedback["x0"], feedback["K"] = [*feedback["x0"], 0.0], [[*row, 0.0] for row in feedback["K"]]
     Path("feedback.json").write_text(json.dumps(feedback), encoding="utf-8")
     with pytest.raises(ValueError, match=rf"no message gives the states \['{missing}'\]"):
         run(node, ros, lambda: None)
