@@ -586,7 +586,9 @@ def test_caveat_is_shown_below_the_answer(tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("The name is uncertain: a lag explains nearly as much.") == 1
     rule = "not excluded, by ΔBIC or by the tests with this effect in the model"
-    assert f"ambiguous; a lag explains nearly as much; {rule}: lag" in page
+    points = ["ambiguous", "a lag explains nearly as much", f"{rule}: lag"]
+    places = [page.index(f"<li>{point}</li>") for point in points]
+    assert places == sorted(places)
     console = Console(width=80, record=True, file=StringIO())
     print_result(loaded(result), console)
     assert "The name is uncertain: a lag explains nearly as much." in console.export_text()
