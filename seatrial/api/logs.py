@@ -465,9 +465,14 @@ class Findings(Shown, tuple[Finding, ...]):
     """Findings of a check as a tuple, the worst first. `check` returns it.
 
     Each finding has ``level`` (ok, unknown, warning or fault), ``code``, ``check``, ``where``, ``text`` and ``advice``.
+
+    Attributes
+    ----------
+    logs : tuple of str
+        Names of the checked logs; empty for findings that were joined or cut.
     """
 
-    __slots__ = ()
+    logs: tuple[str, ...] = ()
 
     @property
     def faults(self) -> list[Finding]:
@@ -482,11 +487,16 @@ class Findings(Shown, tuple[Finding, ...]):
     def _content(self) -> Content:
         """Return the numbers of faults and warnings, and a table of the findings."""
         rows = [(f.level, f.check, f.where, f.text, f.advice) for f in self]
-        return Content(findings_summary(self), (), ("level", "check", "where", "finding", "advice"), rows)
+        return Content(self._summary(), (), ("level", "check", "where", "finding", "advice"), rows)
 
     def __repr__(self) -> str:
-        """Return one line for each finding, and a line with the numbers of faults and warnings."""
-        return "\n".join([*findings_lines(self), findings_summary(self)])
+        """Return one line for each finding, and a line with the logs and the numbers of faults and warnings."""
+        return "\n".join([*findings_lines(self), self._summary()])
+
+    def _summary(self) -> str:
+        """Return the numbers of faults and warnings, after the name of the log, or the number of several logs."""
+        of = self.logs[0] if len(self.logs) == 1 else f"{len(self.logs)} logs"
+        return f"{of}: {findings_summary(self)}" if self.logs else findings_summary(self)
 
     def to_pandas(self) -> Any:
         """Return the findings as a ``pandas.DataFrame`` with a row for each finding.
@@ -532,7 +542,9 @@ def check(logs: PathLike | Log | Sequence[PathLike | Log]) -> Findings:
     windows = [TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in as_list(logs)]
     with errors_of_users():
         found = worst_first(log_findings(checks.check, paths, checks.differences, windows))
-    return Findings(f._replace(text=in_python(f.text), advice=in_python(f.advice)) for f in found)
+    findings = Findings(f._replace(text=in_python(f.text), advice=in_python(f.advice)) for f in found)
+    findings.logs = tuple(path.name for path in paths)
+    return findings
 
 
 def as_list(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[PathLike | Log]:

@@ -345,7 +345,8 @@ def test_check_returns_the_findings_of_the_command(logs: list[Path], capsys: pyt
     printed = json.loads(capsys.readouterr().out)["findings"]
     assert [f._asdict() for f in found] == printed
     assert (found.faults, found.warnings) == ([], [])
-    assert repr(found).splitlines()[-1].startswith("0 faults, 0 warnings")
+    assert repr(found).splitlines()[-1].startswith("2 logs: 0 faults, 0 warnings")
+    assert repr(st.check(logs[0])).splitlines()[-1].startswith(f"{logs[0].name}: 0 faults, 0 warnings")
     assert list(found.to_pandas()["code"]) == [f.code for f in found]
 
 
