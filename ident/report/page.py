@@ -260,7 +260,7 @@ def _count_traces(result: Result) -> int:
 
 def _first_sentence(text: str) -> tuple[str, str]:
     """Return the first sentence of a text, and the rest; the rest is empty if there is one sentence only."""
-    first, *rest = re.split(r"(?<=[.!?]) (?=[A-Z`])", text, maxsplit=1)
+    first, *rest = re.split(r"(?<=[.!?])[ \n](?=[A-Z`])", text, maxsplit=1)
     return first, "".join(rest)
 
 

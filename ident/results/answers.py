@@ -241,10 +241,10 @@ def vehicle_answer(
         Whether `seatrial ident diagnose` can search this model for missing effects. If it can, the answer advises it,
         unless there are too few samples or only measured inputs are correlated.
     """
-    fit_sentence = ""
+    of_prediction = ""
     if prediction is not None:
-        fit_sentence = f"{_fit_sentence(prediction, errors, horizon)} {_simulation_sentence(errors, horizon)}"
-    return f"{fit_sentence}{_whiteness_sentence(errors, residuals, cross, searchable)}"
+        of_prediction = f"{_fit_sentence(prediction, errors, horizon)} {_simulation_sentence(errors, horizon)}".strip()
+    return "\n".join(filter(None, [of_prediction, _whiteness_sentence(errors, residuals, cross, searchable)]))
 
 
 def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> str:
@@ -252,9 +252,9 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
 
     The fits of the channels are those on the validation data, or on the estimation data if there are no others. The
     definition of the fit of all channels, and the best and worst channel, are left out if fewer than two channels have
-    a fit. If the prediction of some channels diverges, the
-    sentence names only them. A 95 % interval wider than 50 per cent points is left out, and a further sentence gives
-    the interval of time with the largest errors, if that is known.
+    a fit. If the prediction of some channels diverges, the sentence names only them. A 95 % interval wider than 50 per
+    cent points is left out, and a further sentence gives the interval of time with the largest errors, if that is
+    known.
     """
     begin = f"Prediction {horizon:g} s ahead on {prediction.role} data, all channels: "
     table = errors.estimation if errors.validation is None else errors.validation

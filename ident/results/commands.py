@@ -231,7 +231,7 @@ def vehicle_result(
     straight = straight_sentence(dynamics, fitted, (e for e in fitted.fit.model.effects if e.place == "environment"))
     sentences = [fit_answer, candidate, straight, course, wind]
     sentences += [homogeneity_sentence(a) for a in homogeneity]
-    answer = not_converged(fitted.fit) or " ".join(filter(None, sentences))
+    answer = not_converged(fitted.fit) or "\n".join(filter(None, sentences))
     uncertainty, untested = posed.uncertainty, posed.assessment is None
     in_blocks = all(log.role != "validation" for log in made.logs)
     return VehicleResult(

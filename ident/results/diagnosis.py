@@ -205,7 +205,7 @@ def diagnosis_result(
         answer=faults_first(made)
         + (
             failed
-            or late + " ".join(filter(None, [before_answer, answer, after_answer, worse, straight, course, wind]))
+            or late + "\n".join(filter(None, [before_answer, answer, after_answer, worse, straight, course, wind]))
         ),
         caveat=None if failed else of_judging_data(diagnosis_caveat(diagnosis, bench=bench), in_blocks),
         prediction=prediction,
@@ -370,7 +370,8 @@ def diagnosis_answer(
             f"Left out of the search (--exclude): {_joined_titles([e.title for e in diagnosis.excluded])}. If the data "
             f"contain {effect}, other effects or the disturbance forces stand for it."
         )
-    return of_judging_data(" ".join(sentences), diagnosis.cross_validated)
+    answer = re.sub(r" *\n *", "\n", " ".join(sentences)).strip()
+    return of_judging_data(answer, diagnosis.cross_validated)
 
 
 def _waves_sentence(frequency: float) -> str:
@@ -597,7 +598,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
 
 
 def _next_steps(diagnosis: Diagnosis, estimate: str, again: str, bench: bool) -> str:
-    """Return what to do after a diagnosis that added nothing, as a numbered list in one line, the best step first.
+    """Return what to do after a diagnosis that added nothing: a numbered list of lines, the best step first.
 
     The order is that of the evidence: all logs together decide about the effects that come nearest, and a fit only
     estimates them. The last step is a longer record.
@@ -630,7 +631,8 @@ def _next_steps(diagnosis: Diagnosis, estimate: str, again: str, bench: bool) ->
     steps.append(f"If this adds nothing: {last}" if steps else f"{last[0].upper()}{last[1:]}")
     if len(steps) == 1:
         return f"Next: {steps[0][0].lower()}{steps[0][1:]}"
-    return f"Next steps, in this order: {' '.join(f'{k}. {step}' for k, step in enumerate(steps, 1))}"
+    # A line break at the end, too: the sentences that follow do not belong to the last step.
+    return "\n".join(["\nNext steps, in this order:", *(f"{k}. {step}" for k, step in enumerate(steps, 1)), ""])
 
 
 def _undecided_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:

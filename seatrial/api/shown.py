@@ -71,7 +71,7 @@ class Shown:
 
 def as_html(content: Content) -> str:
     """Return a content as HTML: the answer in bold, a paragraph for each warning, and the table. Texts are escaped."""
-    answer = f"<p><b>{html.escape(content.answer)}</b></p>" if content.answer else ""
+    answer = f"<p><b>{html.escape(content.answer).replace(chr(10), '<br>')}</b></p>" if content.answer else ""
     notes = "".join(f"<p>⚠ {html.escape(note)}</p>" for note in content.notes)
     if not content.columns:
         return answer + notes

@@ -487,9 +487,11 @@ def test_answer_without_an_effect_names_the_effects_that_come_nearest() -> None:
         "the validation data are too few to decide. A score test can find" in diagnosis_answer(found, None, 10.0)
     )
     waves = replace(found, untried_waves=0.55)
-    steps = diagnosis_answer(waves, None, 10.0).partition("Next steps, in this order: ")[2]
+    steps = diagnosis_answer(waves, None, 10.0).partition("\nNext steps, in this order:\n")[2]
     starts = ("1. Diagnose all logs", "2. `seatrial ident vehicle --effect battery --effect wind` estimates them")
-    places = [steps.index(x) for x in (*starts, "3. Fit the model with `--effect waves`", "4. If this adds nothing:")]
+    places = [
+        steps.index(x) for x in (*starts, "\n3. Fit the model with `--effect waves`", "\n4. If this adds nothing:")
+    ]
     assert places == sorted(places)
     assert places[0] == 0
     one = replace(found, rounds=(replace(found.rounds[0], refits=refits[2:]),))

@@ -351,7 +351,7 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     assert answer.startswith(
         f"Prediction {words} ahead on estimation data, all channels: fit 90 % (95 % interval: 88 to 92 %). It "
         "is 1 - geometric mean of error / standard deviation of 2 channels. Best channel: "
-        "99 % (position north); worst: 10 % (surge specific force). "
+        "99 % (position north); worst: 10 % (surge specific force).\n"
     )
     worst = LargestErrorsRow(record="morning", begin=20.0, end=40.0, share=0.61)
     wide = PredictionFit(role="estimation", fit=0.78, low=-17.65, high=1.0, largest_errors=worst)
@@ -376,7 +376,7 @@ def test_a_simulation_that_is_much_worse_than_the_prediction_is_stated() -> None
 
     assert (
         " The simulation of the whole runs by the inputs alone is much worse: its errors are 4 times those 10 s ahead "
-        "(geometric mean of all channels), most in position north, 1.6 m in place of 0.10 m (rms). There are too few"
+        "(geometric mean of all channels), most in position north, 1.6 m in place of 0.10 m (rms).\nThere are too few"
     ) in answer(psi=0.4, x=1.6, r=0.1)
     assert "most in heading, 92 deg in place of 5.7 deg (rms)" in answer(psi=1.6, x=0.4)
     assert "simulation" not in answer(psi=0.2, x=0.4, r=0.1)  # twice as large
