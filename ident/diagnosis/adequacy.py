@@ -954,4 +954,6 @@ def reason_without_experiment(diagnosis: Diagnosis) -> str:
         return "the candidates that passed the score tests could not be fitted"
     if diagnosis.short_data is not None:
         return "no candidate passed the score tests, and the data are too short to test all of them"
+    if diagnosis.remaining:
+        return "each candidate that passed the score tests explains too little to matter"
     return "no candidate passed the score tests, so that there is no effect to test"

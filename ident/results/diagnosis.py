@@ -485,9 +485,13 @@ def _missing_effects_sentence(
         )
         return f"{' '.join(mismatch_sentence(m) for m in reported_mismatches(diagnosis))}{quiet}"
     if not diagnosis.rounds:
-        return _short_data_sentence(diagnosis) or (
-            f"No effect is missing: the data show neither an effect of the catalogue{_or_own(diagnosis)} nor a "
-            "nonparametric one."
+        return (
+            _short_data_sentence(diagnosis)
+            or _small_candidates_sentence(diagnosis, bench)
+            or (
+                f"No effect is missing: the data show neither an effect of the catalogue{_or_own(diagnosis)} nor a "
+                "nonparametric one."
+            )
         )
     last, removed = diagnosis.rounds[-1], diagnosis.removed
     if diagnosis.untested:
@@ -595,6 +599,31 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     supported = [r.effect.name for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]
     known = {*supported, *(name for effect in supported for name in _explained_by(diagnosis, effect))}
     return next((s.name for s in tested if s.p <= CHANCE_P and s.name not in known), "")
+
+
+def _small_candidates_sentence(diagnosis: Diagnosis, bench: bool) -> str:
+    """Return the sentences on candidates that pass their score tests, but were too small to be tried; "" without any.
+
+    They are for a search without rounds. ``bench``: whether the model is that of a thruster on a bench.
+    """
+    if not (small := diagnosis.remaining):
+        return ""
+    n, known = len(small), {*catalogue(), *diagnosis.own_effects}
+    strongest = f"{candidate_title(small[0].name)}, {_p_in_words(small[0].p_block)}"
+    if n == 1:
+        found = f"1 candidate passes its score test, but explains too little to be tried: {strongest}"
+    else:
+        found = (
+            f"{n} candidates pass their score tests, but each of them explains too little to be tried; the strongest "
+            f"is {strongest}"
+        )
+    use = ""
+    if not bench and (names := [s.name for s in small if s.name in known][:1]):
+        use = f" {_fit_command(names, diagnosis)} estimates {'it' if names[0] == small[0].name else names[0]}."
+    return (
+        f"No effect that is large enough to matter is missing: {found}. The standard errors of a fit include what such "
+        f"small effects may do.{use}"
+    )
 
 
 def _next_steps(diagnosis: Diagnosis, estimate: str, again: str, bench: bool) -> str:
@@ -1336,11 +1365,17 @@ def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) 
 def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
     """Return the table row of a search without rounds.
 
-    It has the best 24 score tests. Its reason for the end of the search is that no candidate passes. The reason also
-    has the number of candidates for which the data were too short, if there are any.
+    It has the best 24 score tests. Its reason for the end of the search is that no candidate passes, or that those that
+    pass are too small to be tried. The reason also has the number of candidates for which the data were too short, if
+    there are any.
     """
-    tested = _round_row(Round(diagnosis.scores, (), (), None))
-    why = "no candidate passes the score tests"
+    passed = tuple(s.name for s in diagnosis.remaining)
+    tested = _round_row(Round(diagnosis.scores, passed, (), None))
+    why = (
+        "each candidate that passes explains too little to be tried"
+        if passed
+        else "no candidate passes the score tests"
+    )
     if (short := diagnosis.short_data) is not None:
         why += f"; {short.seconds:.0f} s of data are too short to test {short.untestable} of {short.candidates}"
     return msgspec.structs.replace(tested, why=why)

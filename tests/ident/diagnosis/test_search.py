@@ -15,7 +15,7 @@ from msgspec import structs
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.diagnosis import search
 from seatrial.ident.diagnosis.acceptance import is_immaterial, refit_outcome
-from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
+from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives, reason_without_experiment
 from seatrial.ident.diagnosis.common_errors import CommonErrorScore
 from seatrial.ident.diagnosis.findings import (
     CommonErrorsFit,
@@ -672,6 +672,32 @@ def test_an_effect_of_ones_own_that_explains_the_other_candidates_says_so() -> N
     assert none.startswith(
         "No effect is missing: the data show neither an effect of the catalogue or of your own nor a"
     )
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (
+            ("battery-sag",),
+            "1 candidate passes its score test, but explains too little to be tried: the loss of thrust",
+        ),
+        (("battery-sag", "X(u, r)"), "2 candidates pass their score tests, but each of them explains too little"),
+    ],
+)
+def test_candidates_too_small_to_be_tried_are_not_denied(names: tuple[str, ...], said: str) -> None:
+    """The answer was that the data show no effect, above a figure with candidates beyond their thresholds."""
+    small = tuple(Score(n, 28.0, 1, 20.0, {}, {}) for n in names)
+    found = Diagnosis(blank(), blank(fit=blank(flags=())), (), small, ())
+    answer = diagnosis_answer(found, None, 10.0)
+    assert answer.startswith("No effect that is large enough to matter is missing: " + said)
+    assert f"p = {small[0].p_block:.1g}" in answer
+    assert "`seatrial ident vehicle --effect battery-sag` estimates it." in answer
+    assert (
+        reason_without_experiment(found) == "each candidate that passed the score tests explains too little to matter"
+    )
+    row = _quiet_round(replace(found, scores=(*small, Score("wind", 2.0, 2, 1.0, {}, {}))))
+    assert [c.passed for c in row.candidates] == [*([True] * len(small)), False]
+    assert row.why == "each candidate that passes explains too little to be tried"
 
 
 def test_a_stronger_curve_makes_the_name_of_a_removed_effect_uncertain_and_has_the_page() -> None:
