@@ -1014,8 +1014,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
 
     Identified effects come first, then an ambiguous effect as "an effect that resembles ...", several of them as a list
     ("effects that resemble: A; B"), then nonparametric effects. After an ambiguous effect, the text names the best of
-    the effects that explain the data as well ("A or, nearly as well, B").
-    Nonparametric effects come first if the most important effect is nonparametric. A curve of which no value differs
+    the effects that explain the data as well ("A or, nearly as well, B"), or
+    better. Nonparametric effects come first if the most important effect is nonparametric. A curve of which no value differs
     significantly from zero is left out, unless there is no other effect (`_curves_near_zero_sentence`). If ambiguous
     effects come first, the text begins with "The missing effect resembles ...".
     The diagnosis must have at least one effect.
@@ -1038,8 +1038,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
         if _is_size_undetermined(r.effect, diagnosis):
             words = "its size is not determined"
         title = f"{r.effect.title} ({words})" if words else r.effect.title
-        equals = _equal_rivals(judged, diagnosis) if judged.attribution == "ambiguous" else []
-        titles[judged.attribution].append(" or, nearly as well, ".join([title, *equals[:1]]))
+        rival = _rival_in_words(judged, diagnosis) if judged.attribution == "ambiguous" else ""
+        titles[judged.attribution].append(f"{title}{rival}")
     identified, ambiguous, nonparametric = titles.values()
     first = named[0][1] if named else diagnosis.attributions[0]
     if nonparametric and first.attribution == "nonparametric":
@@ -1087,24 +1087,25 @@ def _curves_near_zero_sentence(diagnosis: Diagnosis) -> str:
     return f"The model also has {titles}, but {subject} significantly from zero{kept}."
 
 
-def _equal_rivals(judged: EffectAttribution, diagnosis: Diagnosis) -> list[str]:
-    """Return the titles of the effects that explain the data as well as an ambiguous effect, the best one first.
+def _rival_in_words(judged: EffectAttribution, diagnosis: Diagnosis) -> str:
+    """Return words on the effect that explains the estimation data as well as an ambiguous effect, or better.
 
-    They were refitted in the same round, are not excluded, and their criterion differs by at most
-    ``policy.max_distance``. Effects that the diagnosis has added too are left out.
+    It was refitted in the same round, is not excluded, and its criterion is not lower than that of the ambiguous effect
+    by more than ``policy.max_distance``. Of several, it is the best. The words begin with a space; they are empty
+    without such an effect. Effects that the diagnosis has added too do not count.
     """
     added = {r.effect.name for r in diagnosis.effects}
     rounds = (r for r in diagnosis.rounds if r.chosen is not None and r.chosen.effect.name == judged.effect)
     found = next(rounds, None)
     if found is None or found.chosen is None:
-        return []
-    best, distance = found.chosen.criterion, diagnosis.policy.max_distance
-    equal = [
-        q
-        for q in found.refits
-        if q.effect.name in judged.not_excluded and q.effect.name not in added and abs(best - q.criterion) <= distance
-    ]
-    return [q.effect.title for q in sorted(equal, key=lambda q: -q.criterion)]
+        return ""
+    rivals = [q for q in found.refits if q.effect.name in judged.not_excluded and q.effect.name not in added]
+    rival, distance = max(rivals, key=lambda q: q.criterion, default=None), diagnosis.policy.max_distance
+    if rival is None or rival.criterion < found.chosen.criterion - distance:
+        return ""
+    if rival.criterion > found.chosen.criterion + distance:
+        return f" or {rival.effect.title}, which explains the estimation data better"
+    return f" or, nearly as well, {rival.effect.title}"
 
 
 def _is_size_undetermined(effect: Effect, diagnosis: Diagnosis) -> bool:
