@@ -27,6 +27,7 @@ BEYOND = 1.05  # share of the end of the data from which a limit of the user is 
 ROOM = 0.9  # share of the limit above which a steady input leaves too little for the control
 SHAFTS = ("T_n", "tau_n", "dead_zone")  # lag [s], delay [s] and dead zone of shafts that follow commands
 SHAFT_DIFFERENCE = "dT_n"  # s, of the lags of both shafts; only with the effect lag-mismatch
+MEASURED = ("u", "v", "r", "psi", "x", "y")  # states that sensors measure, beside shaft speeds
 HEADING = "psi"  # further state of the feedback: the integral of the yaw rate
 
 
@@ -296,9 +297,9 @@ def lqr(
     States that no input changes, such as those of waves, are left out.
 
     A `SeatrialWarning` is issued if the heading is controlled, and the rates depend on it, and nobody chose its value.
-    Another one is issued if an input of the operating point is near the limit, and one if a limit that was given
-    leaves the data of the fit. The limit, weights that are missing, the heading and the errors are those of
-    `seatrial.ident.export.linearisation.LinearModel.lqr`.
+    Another one is issued if an input of the operating point is near the limit, one if a limit that was given leaves the
+    data of the fit, and one for states of effects that no sensor measures. The limit, weights that are missing, the
+    heading and the errors are those of `seatrial.ident.export.linearisation.LinearModel.lqr`.
     """
     from scipy.linalg import solve_continuous_are  # imported here, as it takes 0.3 s
 
@@ -344,6 +345,11 @@ def lqr(
             "feedback holds the boat near this motion, and may not bring it there from rest; test it with the exported "
             "model, and let the wanted speed rise from that of the boat: control(x, psi=..., u=min(speed, 0.05 * t)). "
             "This can fail if the damping of sway is negative, or if the operating point is outside the fitted data"
+        )
+    if hidden := [n for n in used if n not in MEASURED and not is_of_thruster(n, SHAFT_SPEED)]:
+        warn(
+            f"no sensor measures the states {', '.join(hidden)}, which an effect of the model has: estimate them with "
+            "the exported model, or take a model without this effect for the controller"
         )
     _warn_of_limit(linear, low, high, limit)
     weights, costs = np.diag([Q.get(s, 0.0) for s in states]), np.diag([R.get(i, 1.0) for i in linear.inputs])

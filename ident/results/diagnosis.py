@@ -601,6 +601,12 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     return next((s.name for s in tested if s.p <= CHANCE_P and s.name not in known), "")
 
 
+def _command_clause(again: str) -> str:
+    """Return a command after a colon; empty without one. A call of Python names the logs without their folder."""
+    where = " in the folder of the logs" if again.startswith("seatrial.") else ""
+    return f"{where}: `{again}`" if again else ""
+
+
 def _small_candidates_sentence(diagnosis: Diagnosis, bench: bool) -> str:
     """Return the sentences on candidates that pass their score tests, but were too small to be tried; "" without any.
 
@@ -646,7 +652,7 @@ def _next_steps(diagnosis: Diagnosis, estimate: str, again: str, bench: bool) ->
     of, runs = ("this thruster on the bench", "tests") if bench else ("the boat", "runs")
     steps = []
     if not diagnosis.cross_validated:
-        command = f": `{again}`" if again else ""
+        command = _command_clause(again)
         steps.append(
             f"Diagnose all logs of {of} together, without --validate{command}. An effect is then fitted to all of "
             "them, and each block of time is predicted by a fit to the others."
@@ -672,7 +678,7 @@ def _undecided_sentence(diagnosis: Diagnosis, again: str, bench: bool) -> str:
     """
     one = len(diagnosis.effects) == 1
     effects, do, they, them = ("effect", "is", "it", "it") if one else ("effects", "are", "they", "them")
-    command = f": `{again}`" if again else ""
+    command = _command_clause(again)
     return (
         f"So the {effects} {do} found in the data, but these validation logs are too few to decide if {they} "
         f"improve{'s' * one} the prediction. Next, diagnose all logs of {'this thruster' if bench else 'the boat'} "
@@ -1014,10 +1020,10 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
 
     Identified effects come first, then an ambiguous effect as "an effect that resembles ...", several of them as a list
     ("effects that resemble: A; B"), then nonparametric effects. After an ambiguous effect, the text names the best of
-    the effects that explain the data as well ("A or, nearly as well, B"), or
-    better. Nonparametric effects come first if the most important effect is nonparametric. A curve of which no value differs
-    significantly from zero is left out, unless there is no other effect (`_curves_near_zero_sentence`). If ambiguous
-    effects come first, the text begins with "The missing effect resembles ...".
+    the effects that explain the data as well ("A or, nearly as well, B"), or better. Nonparametric effects come first
+    if the most important effect is nonparametric. A curve of which no value differs significantly from zero is left
+    out, unless there is no other effect (`_curves_near_zero_sentence`). If ambiguous effects come first, the text
+    begins with "The missing effect resembles ...".
     The diagnosis must have at least one effect.
 
     Parameters

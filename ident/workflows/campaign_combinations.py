@@ -91,6 +91,7 @@ def combinations_of(fitted: FittedLogs, reasons: Reasons) -> tuple[list[Combinat
     """
     dampings = (_damping(fitted, d, reasons) for d in DAMPING)
     thrusts, not_compared = _thrusts(fitted, reasons)
+    not_compared += filter(None, (_only_one_coefficient(fitted, d, reasons) for d in DAMPING))
     found = [*filter(None, [_load(fitted, reasons), *dampings]), *thrusts]
     return [c for c in found if _is_determined(c, fitted)], not_compared
 
@@ -149,6 +150,20 @@ def _damping(fitted: FittedLogs, damping: _Damping, reasons: Reasons) -> Combina
     scale = math.degrees(1.0) if damping.state == "r" else 1.0
     velocities = [v / scale for v in rounded_below(scale * typical, SLOWEST)]
     return min((at(v) for v in velocities), key=_relative_error)
+
+
+def _only_one_coefficient(fitted: FittedLogs, damping: _Damping, reasons: Reasons) -> NotCompared | None:
+    """Return why a damping is not compared at a velocity: the other coefficients are at their bounds in all logs.
+
+    None if more than one coefficient is estimated in some log, or if the others are missing for another reason.
+    """
+    names = [n for n in fitted.names if n.partition("/")[0] in damping.powers]
+    known = [n for n in names if fitted.known(n).any()]
+    others = [n for n in names if n not in known]
+    if len(known) != 1 or not others or any((reasons[n] or ("", ""))[0] != "at-bound" for n in others):
+        return None
+    reason = f"{' and '.join(others)}: at the bound in all logs, so that it changes as {known[0]} does"
+    return NotCompared(name=damping.words, meaning=f"{damping.words} at a speed", code="at-bound", reason=reason)
 
 
 def _relative_error(combination: Combination) -> float:

@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 
 Logs = PathLike | Log | Sequence[PathLike | Log]
 ARGUMENTS = ("validate", "model", "logs")  # arguments that are no options, for the hint about an unknown option
+# Names by which users look for an option that has another name
+OTHER_NAMES = {"common_errors": "score_tests", "parameters": "chosen"}
 LISTS = (
     "effects",
     "exclude",
@@ -995,7 +997,8 @@ def known_options(given: Mapping[str, Any], options: type) -> dict[str, Any]:
     known = sorted(options.__annotations__)
     for name in given:
         if name not in known:
-            similar = closest_name(name, (*known, *ARGUMENTS))
+            similar = OTHER_NAMES.get(name)
+            similar = similar if similar in known else closest_name(name, (*known, *ARGUMENTS))
             hint = f"did you mean {similar!r}? The options are" if similar else "the options are"
             raise SeatrialError(f"there is no option {name!r}; {hint} {', '.join(known)}")
     check_values(given)

@@ -1874,6 +1874,10 @@ def test_a_malformed_gnss_outage_gives_a_one_line_error(
             "open_log has no argument 'begin'; the names are path, start",
         ),
         (lambda logs, fit: st.fit(logs[0], window=(0.0, 60.0)), "there is no option 'window'; the options are"),
+        (
+            lambda logs, fit: st.fit(logs[0], common_errors=False),
+            "there is no option 'common_errors'; did you mean 'sc",
+        ),
         (lambda logs, fit: st.fit(logs[0], effects="skeg"), "effects skeg: there is no such effect"),
         (lambda logs, fit: st.fit(logs[0], effects="skeg.py"), "effects skeg.py: takes the name of an effect"),
         (

@@ -47,6 +47,7 @@ from seatrial.ident.results import parts
 from seatrial.ident.results.diagnosis import (
     GivenModel,
     _blocks_note,
+    _command_clause,
     _effect_rows,
     _mismatch_row,
     _notes,
@@ -679,6 +680,13 @@ def test_an_effect_of_ones_own_that_explains_the_other_candidates_says_so() -> N
     assert none.startswith(
         "No effect is missing: the data show neither an effect of the catalogue or of your own nor a"
     )
+
+
+def test_a_call_of_python_says_where_it_runs() -> None:
+    """Its logs are the names of files, without their folder."""
+    assert _command_clause("seatrial ident diagnose m.toml a.mcap") == ": `seatrial ident diagnose m.toml a.mcap`"
+    assert _command_clause("seatrial.diagnose(fit, ['a.mcap'])").startswith(" in the folder of the logs: `seatrial.")
+    assert _command_clause("") == ""
 
 
 @pytest.mark.parametrize(

@@ -65,6 +65,15 @@ def test_states_of_waves_are_no_part_of_the_feedback() -> None:
         rough.lqr({**Q, state: 1.0})
 
 
+def test_states_of_effects_that_nobody_measures_give_a_warning() -> None:
+    """The feedback was written for a controller, which then found no message with these states."""
+    model = horizontal_model("shaft")
+    model = model.with_values({n: v for n, v in VALUES.items() if n in model.values})
+    late = (model + catalogue()["lag"]).with_values({"T_lag": 0.3})
+    with pytest.warns(SeatrialWarning, match="no sensor measures the states "):
+        linearise(late, 0.7).lqr(Q)
+
+
 def test_an_operating_point_near_the_limit_gives_a_warning(linear: LinearModel) -> None:
     """The feedback then has too little room to steer. Forces have no limit that the model knows."""
     steady = float(np.abs(linear.u0).max())

@@ -955,6 +955,20 @@ def test_a_quadratic_damping_at_its_bound_in_a_log_is_part_of_the_sum() -> None:
     assert abs(damping.difference) < 0.05 * damping.before.mean
 
 
+def test_a_damping_with_one_estimated_coefficient_is_listed_with_the_reason() -> None:
+    """The row of the drag was missing without a word: d_u was at its bound in all logs."""
+    rng = np.random.default_rng(2)
+    values = {"d_u": np.zeros(6), "d_uu": 3.0 + 0.1 * rng.normal(size=6)}
+    rows = [r | SPEEDS for r in rows_of(values, unit={"d_u": "kg/s", "d_uu": "kg/m"})]
+    for r in rows:
+        if r["parameter"] == "d_u":
+            r |= {"se": None, "flag": f"{AT_BOUND} 0, the lowest possible value", "correlations": "{}"}
+    found = compared(rows, 3)
+    assert found.combinations == ()
+    (drag,) = (x for x in found.not_compared if x.name == "drag ahead")
+    assert (drag.code, drag.reason) == ("at-bound", "d_u: at the bound in all logs, so that it changes as d_uu does")
+
+
 @pytest.mark.parametrize(("prior", "fixed"), [(False, False), (True, False), (False, True)])
 def test_thrust_of_each_side_is_compared_if_the_logs_determine_it(prior: bool, fixed: bool) -> None:
     """The right thruster has lost 14 %: c1 and c2 fall by 7 %, and the left side gives 1.0753 of their mean."""
