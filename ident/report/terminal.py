@@ -785,9 +785,9 @@ def _errors_table(errors: Errors, seconds: float, in_blocks: bool) -> Table | No
 
 
 def _larger_errors(result: DiagnosisResult) -> str:
-    """Return the sentence on errors of the last table that are larger with the effects, but not marked; often ""."""
+    """Return the sentence on errors of the last table that are larger after than before, but not marked; often ""."""
     _, data = by_role(result.errors.validation, result.errors.estimation)[0]
-    return unmarked_rises(horizons(data, result.horizon_seconds)) if result.effects else ""
+    return unmarked_rises(horizons(data, result.horizon_seconds))
 
 
 def _error_text(row: ErrorComparison | None) -> Text:
