@@ -293,6 +293,7 @@ def diagnosis_result(
             )
             for s in diagnosis.curves
         ),
+        environment_parameters=_environment_parameters(diagnosis.before.fit.model, reported),
         parameters_before_after=_parameter_change_rows(diagnosis),
         recommended_experiment=None if recommended is None else with_model_of_design(recommended, given.diagnosed),
         no_experiment=(
@@ -1542,6 +1543,16 @@ def _detectable_rows(diagnosis: Diagnosis, reported: ReportedEstimates) -> tuple
                 sizes.append(parts.DetectableSize(name=name, meaning=p.meaning, unit=unit, size=size))
         rows.append(parts.DetectableEffect(name=effect.name, title=effect.title, sizes=tuple(sizes)))
     return tuple(rows)
+
+
+def _environment_parameters(model: Model, reported: ReportedEstimates) -> tuple[str, ...]:
+    """Return the names, as in the table of the fit, of the parameters of environment effects of the given ``model``.
+
+    These are the shared free parameters of effects such as waves. Disturbance forces are left out.
+    """
+    effects = [e for e in model.effects if e.place == "environment" and not e.kind.nuisance]
+    own = [model.parameter(p.name) for e in effects for p in e.parameters]
+    return tuple(reported.scale.name(p.name, p.unit) for p in own if p.free and not p.per_record)
 
 
 def _parameter_change_rows(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:

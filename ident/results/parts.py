@@ -1459,6 +1459,10 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         Meta(description="nonparametric effects, and the curve that the first ambiguous effect approximates"),
     ] = ()
     residual_forces: Annotated[tuple[ResidualForce, ...], Meta(description="one for each record and force")] = ()
+    environment_parameters: Annotated[
+        tuple[str, ...],
+        Meta(description="shared free parameters of environment effects (waves) of the given model, as in `fit`"),
+    ] = ()
     parameters_before_after: Annotated[
         tuple[ParameterChange, ...], Meta(description="shared free parameters of the model without effects")
     ] = ()

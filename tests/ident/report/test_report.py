@@ -585,6 +585,21 @@ def test_parameters_of_a_requested_effect_come_first() -> None:
     assert lines[3].split()[0] == "eps_LR"
 
 
+def test_parameters_of_waves_in_a_diagnosed_model_are_printed(small: dict[str, Any]) -> None:
+    """They were among those that only the report has, behind masses and damping."""
+    result = copy.deepcopy(small)
+    row = next(r for r in result["fit"]["parameters"] if r["free"])
+    result["fit"]["parameters"] += [*(row | {"name": f"k{i}"} for i in range(12)), row | {"name": "f_wave"}]
+    assert "f_wave" not in printed(result)
+    names = [line.split()[0] for line in printed(result).split("Parameters")[1].splitlines()[3:12] if line.strip()]
+    result["environment_parameters"] = ["f_wave"]
+    text = printed(result)
+    lines = [line.split()[0] for line in text.split("Parameters")[1].splitlines()[3:12] if line.strip()]
+    added = len({p["name"] for e in result["effects"] for p in e["parameters"]} & set(names))
+    assert lines[added] == "f_wave"  # after those of the added effects
+    assert lines[:added] == names[:added]
+
+
 def test_removed_effect_is_not_shown_as_added(small: dict[str, Any], tmp_path: Path) -> None:
     result = copy.deepcopy(small)
     name = result["rounds"][0]["chosen"]
