@@ -66,7 +66,7 @@ from seatrial.ident.results.answers import (
     outlier_lines,
     plus_minus,
     poor_channel,
-    position_wander_notes,
+    position_drift_notes,
     prior_notes,
     short_data_warnings,
     simulated_durations,
@@ -238,7 +238,7 @@ def diagnosis_result(
             *outlier_lines(after.estimation_residuals, after.model),
             *of_judging_data(calibration_notes(calibration, after.horizon), in_blocks),
             *warm_up_notes(simulated_durations(after), after.model.kind),
-            *position_wander_notes(residual_rows(before, with_effects), diagnosis.after.fit.coloured),
+            *position_drift_notes(residual_rows(before, with_effects), diagnosis.after.fit.coloured),
         ),
         fit=with_rival_values(
             fit_summary(diagnosis.after.fit, diagnosis.before.model.values),

@@ -38,7 +38,7 @@ from seatrial.ident.results.answers import (
     not_converged,
     outlier_lines,
     plus_minus,
-    position_wander_notes,
+    position_drift_notes,
     short_data_warnings,
     smallest_command,
     straight_sentence,
@@ -262,17 +262,17 @@ def correlated(channel: str, acf: float, *, white: bool = False, after: Residual
     )  # fmt: skip
 
 
-def test_a_wandering_position_is_no_missing_effect() -> None:
+def test_a_drift_of_the_position_is_no_missing_effect() -> None:
     """A p value of 1e-164 of the positions stood in the report without a word on its cause."""
     still = (correlated("vx", 0.04, white=True), correlated("vy", 0.1))
     rows = (correlated("x", 0.38), correlated("y", 0.31), correlated("psi", 0.5), *still)
-    (note,) = position_wander_notes(rows, coloured=True)
+    (note,) = position_drift_notes(rows, coloured=True)
     assert "position one step ahead are autocorrelated (up to 0.38), those of the velocity less (up to 0.1)." in note
     assert note.endswith(
         "as white; the standard errors are the robust ones where these are larger, which allow for it."
     )
-    assert "robust" not in position_wander_notes(rows, coloured=False)[0]
-    assert "those of the velocity not." in position_wander_notes((rows[0], still[0]), coloured=True)[0]
+    assert "robust" not in position_drift_notes(rows, coloured=False)[0]
+    assert "those of the velocity not." in position_drift_notes((rows[0], still[0]), coloured=True)[0]
     moving = correlated("vx", 0.25)
     for others in (
         (*rows, moving),
@@ -280,11 +280,11 @@ def test_a_wandering_position_is_no_missing_effect() -> None:
         (correlated("x", 0.15), *still),
         (correlated("x", 0.4, white=True), *still),
     ):
-        assert position_wander_notes(others, coloured=True) == []
+        assert position_drift_notes(others, coloured=True) == []
     # Of a diagnosis the tests with the effects count.
-    assert position_wander_notes((*rows, correlated("vx", 0.25, after=still[0])), coloured=True) == [note]
+    assert position_drift_notes((*rows, correlated("vx", 0.25, after=still[0])), coloured=True) == [note]
     validation = msgspec.structs.replace(rows[0], role="validation")
-    assert position_wander_notes((validation, *still), coloured=True) == []
+    assert position_drift_notes((validation, *still), coloured=True) == []
 
 
 def in_order(numbers: tuple[float, float, float], known: bool) -> tuple[float, float, float]:
