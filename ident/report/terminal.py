@@ -628,6 +628,7 @@ def _all_tables(result: Result) -> Sequence[Table | None]:
             result.fit,
             diagnosis.effects if diagnosis else (),
             result.effect_parameters if isinstance(result, VehicleResult) else (),
+            diagnosis.environment_parameters if diagnosis else (),
         ),
         _profiles_table(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
         _candidates_table(diagnosis) if diagnosis else None,
@@ -635,14 +636,16 @@ def _all_tables(result: Result) -> Sequence[Table | None]:
     ]
 
 
-def _parameters_table(fit: FitSummary, added: Sequence[EffectRow], requested: Sequence[str]) -> Table | None:
+def _parameters_table(
+    fit: FitSummary, added: Sequence[EffectRow], requested: Sequence[str], environment: Sequence[str]
+) -> Table | None:
     """Return the table of up to nine estimated parameters: those of the added effects first, then those of the model.
 
     Noise parameters (with the word noise in their meaning) that are not at a bound, and fixed parameters of the model,
     are left out. Per-record parameters of the model come last. The result is None if no parameter is left. A flag that
     is a sentence stands below the table. ``added`` has the effects that a diagnosis added; empty for other fits.
     ``requested`` has the names of the parameters of effects that the user added, which come first too, even if they are
-    more than nine.
+    more than nine. ``environment`` has those of effects of the environment in a diagnosed model, which follow.
     """
     effects = [row for effect in added for row in effect.parameters]
     effect_names = {row.name for row in effects}
@@ -653,8 +656,8 @@ def _parameters_table(fit: FitSummary, added: Sequence[EffectRow], requested: Se
         and row.name not in effect_names
         and ("noise" not in row.meaning or row.name in requested or row.origin_in_table != row.origin)
     ]
-    # Parameters of requested effects first, and per-record parameters last
-    fitted.sort(key=lambda row: (row.name not in requested, row.record is not None))
+    # Parameters of requested effects first, then those of the environment, and per-record parameters last
+    fitted.sort(key=lambda row: (row.name not in requested, row.name not in environment, row.record is not None))
     found: list[EffectParameter | ParameterRow] = [*effects, *fitted]
     if not found:
         return None
@@ -785,9 +788,9 @@ def _errors_table(errors: Errors, seconds: float, in_blocks: bool) -> Table | No
 
 
 def _larger_errors(result: DiagnosisResult) -> str:
-    """Return the sentence on errors of the last table that are larger with the effects, but not marked; often ""."""
+    """Return the sentence on errors of the last table that are larger after than before, but not marked; often ""."""
     _, data = by_role(result.errors.validation, result.errors.estimation)[0]
-    return unmarked_rises(horizons(data, result.horizon_seconds)) if result.effects else ""
+    return unmarked_rises(horizons(data, result.horizon_seconds))
 
 
 def _error_text(row: ErrorComparison | None) -> Text:

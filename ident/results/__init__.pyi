@@ -172,6 +172,7 @@ from .tables import cross_rows as cross_rows
 from .tables import error_rows as error_rows
 from .tables import finite as finite
 from .tables import format_number as format_number
+from .tables import listed as listed
 from .tables import name_probabilities as name_probabilities
 from .tables import provenance as provenance
 from .tables import record_inputs as record_inputs

@@ -80,6 +80,7 @@ MOST_NAMES = 4  # channels or logs that a sentence lists by name; the others are
 FINE_SHIFT_PERCENT = 2.0  # smaller changes are printed with one decimal
 FACTOR_FROM = 3.0  # larger ratios of errors are printed as a factor, not in per cent
 LEVEL = 0.01  # significance level of the whiteness tests
+DRIFTING = 0.2  # autocorrelation of the residuals of a position, from which a drift of its error is reported
 MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sensor outputs and contain sensor noise
 LEAST_USEFUL_SCALE = 0.1  # ratio of actual to predicted errors, below which an interval does not tell the error
 MUCH_WORSE_SIMULATION = 2.5  # ratio of the errors of a simulation to those over the horizon, from which it is stated
@@ -397,6 +398,44 @@ def _failed_tests(
     pairs = [(c, p) for c in cross if c.role == "estimation" and (p := (c.after or c).p) is not None]
     coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)
     return coloured, [c for c, p in pairs if p * len(pairs) < LEVEL]
+
+
+def position_drift_notes(residuals: Sequence[ResidualTests], coloured: bool) -> list[str]:
+    """Return the note that the error of the measured position is autocorrelated, and not the motion; often none.
+
+    A missing effect of the boat acts on the velocity. The note is returned if the residuals of a position on the
+    estimation data are not white, with an autocorrelation of at least `DRIFTING`, and if those of each measured
+    velocity over ground have at most half of that autocorrelation. Without such a velocity there is no note, because
+    the position alone cannot tell both causes.
+
+    Parameters
+    ----------
+    residuals : sequence of ResidualTests
+        Whiteness tests of each record and channel. In a diagnosis those of the model with the effects count.
+    coloured : bool
+        Whether the standard errors are the robust ones, because of autocorrelated residuals (`FitSummary.coloured`).
+    """
+    largest: dict[str, float] = {}
+    for row in residuals:
+        tests = row.after or row
+        if row.role == "estimation" and len(tests.acf):
+            size = 0.0 if tests.white else float(np.max(np.abs(tests.acf)))
+            largest[row.channel] = max(size, largest.get(row.channel, 0.0))
+    position, velocity = ([largest[n] for n in names if n in largest] for names in (("x", "y"), ("vx", "vy")))
+    if not position or not velocity or max(position) < DRIFTING or max(velocity) > 0.5 * max(position):
+        return []
+    errors = (
+        "the standard errors are the robust ones where these are larger, which allow for it"
+        if coloured
+        else "the test of the standard errors does not find that it makes them wrong"
+    )
+    less = f"less (up to {max(velocity):.2g})" if max(velocity) else "not"
+    return [
+        f"The errors of the position one step ahead are autocorrelated (up to {max(position):.2g}), those of the "
+        f"velocity {less}. This is probably the error of the position itself, which in GNSS receivers drifts for "
+        "seconds to minutes, and not a missing effect of the boat, which the velocity would show too. The model takes "
+        f"the position noise as white; {errors}."
+    ]
 
 
 def disturbance_reason(result: FitResult) -> str:

@@ -66,6 +66,7 @@ from seatrial.ident.results.answers import (
     outlier_lines,
     plus_minus,
     poor_channel,
+    position_drift_notes,
     prior_notes,
     short_data_warnings,
     simulated_durations,
@@ -237,6 +238,7 @@ def diagnosis_result(
             *outlier_lines(after.estimation_residuals, after.model),
             *of_judging_data(calibration_notes(calibration, after.horizon), in_blocks),
             *warm_up_notes(simulated_durations(after), after.model.kind),
+            *position_drift_notes(residual_rows(before, with_effects), diagnosis.after.fit.coloured),
         ),
         fit=with_rival_values(
             fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
@@ -291,6 +293,7 @@ def diagnosis_result(
             )
             for s in diagnosis.curves
         ),
+        environment_parameters=_environment_parameters(diagnosis.before.fit.model, reported),
         parameters_before_after=_parameter_change_rows(diagnosis),
         recommended_experiment=None if recommended is None else with_model_of_design(recommended, given.diagnosed),
         no_experiment=(
@@ -1547,6 +1550,16 @@ def _detectable_rows(diagnosis: Diagnosis, reported: ReportedEstimates) -> tuple
                 sizes.append(parts.DetectableSize(name=name, meaning=p.meaning, unit=unit, size=size))
         rows.append(parts.DetectableEffect(name=effect.name, title=effect.title, sizes=tuple(sizes)))
     return tuple(rows)
+
+
+def _environment_parameters(model: Model, reported: ReportedEstimates) -> tuple[str, ...]:
+    """Return the names, as in the table of the fit, of the parameters of environment effects of the given ``model``.
+
+    These are the shared free parameters of effects such as waves. Disturbance forces are left out.
+    """
+    effects = [e for e in model.effects if e.place == "environment" and not e.kind.nuisance]
+    own = [model.parameter(p.name) for e in effects for p in e.parameters]
+    return tuple(reported.scale.name(p.name, p.unit) for p in own if p.free and not p.per_record)
 
 
 def _parameter_change_rows(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:

@@ -1369,7 +1369,11 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
 
     @property
     def errors_caveat(self) -> str:
-        """Sentences on how the prediction errors are computed, and on the command that gives comparable ones."""
+        """Sentences on how the prediction errors are computed, and on the command that gives comparable ones.
+
+        If the diagnosis added common errors, but no effect, the first sentences say that this is the difference of the
+        errors before and after.
+        """
         if self.cross_validated:
             how = "each block of time of the estimation logs is predicted by a fit to the others"
         elif self.validated_in_blocks:
@@ -1377,8 +1381,26 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         else:
             how = "the model is fitted again by plain maximum likelihood"
         return (
-            f"Not comparable with errors of `ident vehicle` and `ident compare`: {how}. Comparable errors of both "
-            "models: `seatrial ident compare MODEL DIAGNOSIS --on LOG`."
+            f"{self._common_errors_alone}Not comparable with errors of `ident vehicle` and `ident compare`: "
+            f"{how}. Comparable errors of both models: `seatrial ident compare MODEL DIAGNOSIS --on LOG`."
+        )
+
+    @property
+    def _common_errors_alone(self) -> str:
+        """Sentences on errors before and after that differ by added common errors alone, with a space; often empty."""
+        common = self.common_errors
+        if self.effects or common is None or common.gain is None:
+            return ""
+        found = common.prediction
+        result = {
+            "fell": " The prediction over the horizon is better with them.",
+            "rose": " The prediction over the horizon is worse with them.",
+            "unchanged": " The prediction over the horizon is not significantly better or worse with them: compare "
+            "both models before you choose one.",
+        }.get("" if found is None else found.verdict, "")
+        return (
+            "No effect was added: the errors differ because the small errors that every craft has (common errors) "
+            f"were added to the model.{result} "
         )
 
     @property
@@ -1437,6 +1459,10 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         Meta(description="nonparametric effects, and the curve that the first ambiguous effect approximates"),
     ] = ()
     residual_forces: Annotated[tuple[ResidualForce, ...], Meta(description="one for each record and force")] = ()
+    environment_parameters: Annotated[
+        tuple[str, ...],
+        Meta(description="shared free parameters of environment effects (waves) of the given model, as in `fit`"),
+    ] = ()
     parameters_before_after: Annotated[
         tuple[ParameterChange, ...], Meta(description="shared free parameters of the model without effects")
     ] = ()

@@ -36,6 +36,7 @@ from seatrial.ident.estimation import (
     model_file,
     reported_units,
     simulate,
+    thrust_scale_of,
 )
 from seatrial.ident.experiment_design import (
     COAST_S,
@@ -74,7 +75,7 @@ from seatrial.ident.experiment_design import (
     row_spacing,
     separation_if_repeated,
 )
-from seatrial.ident.model import Effect, Model, ModelKind, Parameter
+from seatrial.ident.model import Effect, Model, ModelKind, Parameter, ParameterOrigin
 from seatrial.ident.models import effect_for, make_model
 from seatrial.ident.numerics import Array, violates_constraint
 from seatrial.ident.report import typeset_unit, write_design_page
@@ -92,6 +93,7 @@ from seatrial.ident.results import (
     design_warnings,
     finite,
     format_number,
+    listed,
     provenance,
     write_result,
 )
@@ -214,6 +216,8 @@ def make_design(
     reporter = PhasedReporter(reporter, APART_PHASES if request.between else PHASES)
     beside = _paths_beside_mission(out, force)
     task, compared = make_task(source, request, reporter)
+    if beyond := warn_beyond_commands(task):
+        reporter.warning(beyond)
     model_thrusters = task.actuation.thrusters
     thrusters = request.thrusters or model_thrusters
     if len(thrusters) != len(model_thrusters):
@@ -406,23 +410,58 @@ def beyond_validity(made: Design) -> list[str]:
 def options_within_validity(made: Design) -> str:
     """Return the advice for a mission closer to the fitted data, without a full stop: ``... give --n-max 0.78``.
 
-    The largest command is that of the thruster with the smallest range of its commands or shaft speeds, the speed is
-    the largest surge speed in the data; both are rounded down to two digits. A limit that was given as strictly already
-    is left out, and the speed if the mission is not faster than the data. If none is left, the advice is a smaller
-    largest command than the given one.
+    The largest command is that of the data (`largest_fitted_command`), the speed is the largest surge speed in the
+    data, rounded down to two digits. The command is left out if `warn_beyond_commands` has nothing to say, because a
+    command that is hardly smaller changes little, and the speed if the mission is not faster than the data, or if the
+    given limit is as strict already. If none is left, the advice is a smaller largest command than the given one.
     """
     model, known = made.problem.model, made.problem.validity
-    channels = made.problem.actuation.channels
-    commanded = [i.name for i in model.inputs if i.name.endswith(channels) and not i.unit]
-    sizes = [max(map(abs, known[name])) for name in commanded if name in known]
+    fitted = largest_fitted_command(made.problem)
     speeds = [max(map(abs, known[s.name])) for s in model.states if s.name == "u" and s.name in known]
     largest = made.problem.steps.n_max
-    limits = [f"--n-max {n:.2g}" for n in _rounded_down(sizes) if n < largest]
+    limits = [f"--n-max {fitted:g}"] if fitted is not None and warn_beyond_commands(made.problem) else []
     if any(beyond.startswith("u from ") for beyond in beyond_validity(made)):
         given = made.problem.limits.speed
-        limits += [f"--max-speed {v:.2g}" for v in _rounded_down(speeds) if given is None or v < given]
-    smaller = f"a smaller --n-max than {largest:.2g}" if sizes else "a smaller --n-max"
+        limits += [f"--max-speed {v:g}" for v in _rounded_down(speeds) if given is None or v < given]
+    smaller = "a smaller --n-max" if fitted is None else f"a smaller --n-max than {largest:.2g}"
     return f"To stay nearer to the data, give {' or '.join(limits or [smaller])}"
+
+
+def _fitted_commands(task: DesignProblem) -> dict[str, tuple[float, float]]:
+    """Return the range of each command, or shaft speed, in the data that the model was fitted to, by its name."""
+    commanded = [i.name for i in task.model.inputs if i.name.endswith(task.actuation.channels) and not i.unit]
+    return {name: task.validity[name] for name in commanded if name in task.validity}
+
+
+def largest_fitted_command(task: DesignProblem) -> float | None:
+    """Return the largest command in the data that the model was fitted to; None if the model has no ranges of them.
+
+    It is that of the thruster with the smallest range of its commands or shaft speeds, rounded down to two digits after
+    the point.
+    """
+    return next(iter(_rounded_down([max(map(abs, ends)) for ends in _fitted_commands(task).values()])), None)
+
+
+def warn_beyond_commands(task: DesignProblem) -> str:
+    """Return the warning that ``--n-max`` is beyond the commands of the data that the model was fitted to; often "".
+
+    It is known before the search. A command is beyond its range if it leaves it by more than a tenth
+    (`leaves_validity`).
+    """
+    largest = task.steps.n_max
+    fitted = largest_fitted_command(task)
+    beyond = [
+        f"{name} from {low:.2g} to {high:.2g}"
+        for name, (low, high) in _fitted_commands(task).items()
+        if leaves_validity(-largest, largest, (low, high))
+    ]
+    if not beyond or not fitted or fitted >= largest:
+        return ""
+    return (
+        f"The largest command of the mission, --n-max {largest:g}, is beyond the data that the model was fitted to "
+        f"({'; '.join(beyond)}). The model is not tested there. For a mission within these commands, stop this design "
+        f"and give --n-max {fitted:g}."
+    )
 
 
 def _rounded_down(limits: Sequence[float]) -> list[float]:
@@ -933,7 +972,7 @@ def _design_answer(
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     duration = made.problem.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
-    errors += thrust_limit_sentence(parameters)
+    errors += thrust_limit_sentence(parameters, thrust_scale_of(made.problem.model).thrust)
     if not is_larger(baseline.value, made.value):
         return errors
     warning = warn_worse_than_baseline(baseline, made.problem, made.problem.criterion, made.value)
@@ -941,13 +980,13 @@ def _design_answer(
     return f"{errors}. {warning.removesuffix('.')}" if made.problem.limits.bind else f"{warning} {errors}"
 
 
-def thrust_limit_sentence(parameters: Sequence[DesignedParameter]) -> str:
+def thrust_limit_sentence(parameters: Sequence[DesignedParameter], origin: ParameterOrigin | None) -> str:
     """Return the sentence that the error of the thrust limits those of masses and damping after a mission; often empty.
 
     The motion determines a mass only as a ratio to the thrust. Its relative error is then nearly that of the thrust
     scale c1, which no mission reduces. The sentence names the chosen parameters in kg of which this error is at least
     `THRUST_SHARE` of the whole one. It begins with a full stop and has none at its end. ``parameters`` are the rows of
-    the result.
+    the result, and ``origin`` is the provenance of the thrust: a measured one has to be measured better.
     """
     scale = next((p for p in parameters if p.name == "c1" and p.value), None)
     if scale is None or not scale.after or not scale.before or scale.after < THRUST_KEPT * scale.before:
@@ -961,8 +1000,8 @@ def thrust_limit_sentence(parameters: Sequence[DesignedParameter]) -> str:
     if not limited:
         return ""
     return (
-        f". The thrust scale (c1 ± {100.0 * share:.2g} %) sets this limit for {' and '.join(limited)}, so that no "
-        "mission helps much more: measure the bollard pull better"
+        f". The thrust scale (c1 ± {100.0 * share:.2g} %) sets this limit for {listed(limited, 'and')}, so that no "
+        f"mission helps much more: measure the bollard pull{' better' if origin is ParameterOrigin.MEASURED else ''}"
     )
 
 
@@ -979,7 +1018,8 @@ def _with_full_stop(answer: str) -> str:
 def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
     """Return the end of the answer on the area of operation, after its last full stop; "" without an area or a track.
 
-    It says whether the nominal boat and the sampled boats stay in the area, and what to do if they do not.
+    It says whether the nominal boat and the sampled boats stay in the area. If they do not, it says which area this
+    mission needs, and with which smaller ``--area`` the boats probably stay in the given one.
     """
     area = None if track is None else operation_area(track, limits)
     if track is None or area is None:
@@ -988,7 +1028,17 @@ def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
     enough = None if text.endswith("south-west corner.") else _enough_area(track, area)
     if enough is None:
         return f". {text}"
-    return f". {text} An area of {enough[0]:g} m by {enough[1]:g} m is large enough for this mission."
+    north, east = (math.floor(side * min(side / needed, 1.0)) for side, needed in zip(area.size, enough, strict=True))
+    text += (
+        f" An area of {enough[0]:g} m by {enough[1]:g} m is large enough for this mission: the nominal boat and "
+        f"{100 * ENOUGH_INSIDE:.0f} % of the others stay in it."
+    )
+    if min(north, east) > 0:
+        text += (
+            f" If you have no more room than now, design with `--area {north}x{east}`: boats that leave that area by "
+            "the same proportion stay in yours."
+        )
+    return f". {text}"
 
 
 def _enough_area(track: PredictedTrack, area: OperationArea) -> tuple[float, float] | None:

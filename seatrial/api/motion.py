@@ -201,7 +201,8 @@ class Linearisation(Shown, LinearModel):
         -------
         dict of str to Array (n_times,)
             Change of each state from the operating point, for a step of one unit of the inputs, in SI units and
-            radians.
+            radians. The values are plain arrays, and no series with ``.value`` as of `simulate`, `predict` and
+            `residuals`: their times are ``t``.
 
         Raises
         ------

@@ -1002,6 +1002,16 @@ def test_linear_model_has_table_and_figures_with_errors(fit: st.FittedVehicle, t
     step.save(tmp_path / "step.html")
 
 
+def test_a_step_response_is_a_plain_array_and_says_so(fit: st.FittedVehicle) -> None:
+    """Users read ``.value``, as of the series of `simulate`, and got an AttributeError."""
+    at = fit.linearise(0.5)
+    response = at.step_response("turn", np.array([0.0, 1.0]))["r"]
+    assert type(response) is np.ndarray
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text(encoding="utf-8")
+    for text in (at.step_response.__doc__ or "", page):
+        assert re.search(r"plain (NumPy )?arrays.{0,40} no series with `{1,2}\.value`", " ".join(text.split()))
+
+
 def test_linear_model_is_written_for_matlab(fit: st.FittedVehicle, tmp_path: Path) -> None:
     at = fit.linearise(0.5)
     path = at.to_mat(tmp_path / "linear.mat")

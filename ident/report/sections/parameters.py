@@ -71,7 +71,8 @@ def parameters_section(
     fit : FitSummary
         Fit of the model; in a diagnosis, of the model with the added effects.
     changes : sequence of ParameterChange
-        Parameters before and after the effects of a diagnosis were added; empty for other fits.
+        Parameters before and after the effects or the common errors of a diagnosis were added; empty for other fits.
+        They have no table if nothing was added, so that both are the same.
     common_errors : CommonErrorsRow, optional
         Common errors of the model (small errors that every craft has), which get a table of their own.
     """
@@ -221,18 +222,22 @@ def _parameter_cells(row: ParameterRow, titles: Sequence[str], extra: Sequence[s
 
 
 def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
-    """Return heading and table of the parameters before and after effects were added; an empty list without any."""
-    if not table:
+    """Return heading and table of the parameters before and after effects or common errors were added.
+
+    The list is empty without parameters, and if all are the same before and after because nothing was added.
+    """
+    if all((row.before, row.before_se) == (row.after, row.after_se) for row in table):
         return []
     columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("change", "num"))
     note = "change in standard errors of the value before"
     why = (
-        "The standard errors before are those of that fit alone. On the page of the fit that was diagnosed they can be "
-        "several times as large, since they include by how much each missing effect may shift the estimate. The "
+        "The diagnosis added effects, or common errors, between both. The standard errors before are those of that fit "
+        "alone. On the page of the fit that was diagnosed they can be several times as large, "
+        "since they include by how much each missing effect may shift the estimate. The "
         "standard errors after include this for the candidates that still pass the score tests."
     )
     shown = Table(columns, [_change_cells(row) for row in table])
-    return [Heading("Before and after the effects", note), Prose(why), shown]
+    return [Heading("Before and after", note), Prose(why), shown]
 
 
 def _change_cells(row: ParameterChange) -> list[Cell | str]:

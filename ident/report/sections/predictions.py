@@ -108,7 +108,7 @@ def errors_section(errors: Errors, seconds: float, caveat: str = "", in_blocks: 
 
 
 def unmarked_rises(kinds: Kinds) -> str:
-    """Return a sentence on the channels whose error rose with the effects by a fifth or more, but without a mark.
+    """Return a sentence on the channels whose error rose by a fifth or more, but without a mark.
 
     These are the predictions without an interval, such as a simulation, and those whose interval includes 1. The text
     is empty without such a channel. ``kinds`` is that of a table of errors before and after.
@@ -123,7 +123,7 @@ def unmarked_rises(kinds: Kinds) -> str:
     if not found:
         return ""
     return (
-        "Larger with the effects, but without a mark, because no interval shows whether it is chance: "
+        "Larger after than before, but without a mark, because no interval shows whether it is chance: "
         f"{'; '.join(found)}."
     )
 

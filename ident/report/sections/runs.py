@@ -478,13 +478,14 @@ def _errors_of(result: FitResult, role: str) -> ErrorTable:
 def _fit_note(row: ErrorComparison | None) -> str:
     """Return the fit of one channel for the title of its panel: ``fit 87 %``, or ``fit 60 % → 87 %``.
 
-    The second form is that before and after effects were added. An error of None is written as ``diverged``. The text
+    The second form is that before and after effects were added; the first one is used if both errors are the same,
+    because nothing was added. An error of None is written as ``diverged``. The text
     is empty if ``row`` is None, or if the standard deviation of the measured channel is zero or unknown, so that it has
     no fit.
     """
     if row is None or not row.spread:
         return ""
-    errors = (row.after,) if row.before is None else (row.before, row.after)
+    errors = (row.after,) if row.before is None or row.before == row.after else (row.before, row.after)
     return "fit " + " → ".join("diverged" if e is None else f"{100 * (1 - e / row.spread):z.0f} %" for e in errors)
 
 

@@ -33,16 +33,18 @@ from seatrial.ident.experiment_design.discrimination import (
 from seatrial.ident.experiment_design.optimal_design import PredictedTrack
 from seatrial.ident.experiment_design.prior import prior_from_fit
 from seatrial.ident.experiment_design.problem import COAST_S, REST_S, DesignLimits, DesignProblem
+from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.thruster import thruster_model
 from seatrial.ident.report import write_design_page
-from seatrial.ident.reporter import QUIET, TimeLeft
+from seatrial.ident.reporter import QUIET, Quiet, TimeLeft
 from seatrial.ident.results import DesignedParameter, DesignResult, Discrimination, read_result
 from seatrial.ident.workflows import design as workflow
 from seatrial.ident.workflows.design import (
     APART_PHASES,
     DesignRequest,
+    _area_end,
     _design_answer,
     _design_warnings,
     _discrimination_lines,
@@ -307,7 +309,10 @@ def test_a_design_that_is_worse_says_what_to_do(limits: DesignLimits, advice: st
 def test_a_design_with_limits_says_first_what_it_achieves(value: float, worse: bool) -> None:
     """Random sequences that ignore the limits came first, also if both criteria were printed as 52."""
     problem: Any = SimpleNamespace(
-        limits=DesignLimits(area=(40.0, 40.0)), criterion="D", steps=SimpleNamespace(duration=240.0)
+        limits=DesignLimits(area=(40.0, 40.0)),
+        criterion="D",
+        steps=SimpleNamespace(duration=240.0),
+        model=horizontal_model(),
     )
     made: Any = SimpleNamespace(problem=problem, value=value)
     baseline: Any = SimpleNamespace(kind="PRBS", value=52.0)
@@ -335,16 +340,22 @@ def test_an_error_that_the_thrust_limits_is_named(
             ("d_u", "kg/s", 4.0, 4.0, 2.0, True), ("Y_r", "kg m/s", 50.0, 2.8, 2.8, False),
         )
     )  # fmt: skip
-    sentence = thrust_limit_sentence(rows)
     wanted = (
         ". The thrust scale (c1 ± 5.5 %) sets this limit for m_u, so that no mission helps much more: measure the "
-        "bollard pull better"
+        "bollard pull"
     )
-    assert sentence == (wanted if said else "")
-    problem: Any = SimpleNamespace(limits=DesignLimits(), criterion="D", steps=SimpleNamespace(duration=240.0))
-    made: Any = SimpleNamespace(problem=problem, value=60.0)
-    answer = _design_answer(made, rows, None, cast(Any, SimpleNamespace(kind="PRBS", value=52.0)))
-    assert answer.endswith(sentence)
+    for origin in ParameterOrigin:  # only a measured bollard pull can be measured better
+        end = " better" if origin is ParameterOrigin.MEASURED else ""
+        assert thrust_limit_sentence(rows, origin) == (f"{wanted}{end}" if said else "")
+        boat = horizontal_model("shaft")
+        known = boat.replace_parameters(boat.parameter("c1").known(75.7, 4.5, origin))
+        problem: Any = SimpleNamespace(
+            limits=DesignLimits(), criterion="D", steps=SimpleNamespace(duration=240.0), model=known
+        )
+        made: Any = SimpleNamespace(problem=problem, value=60.0)
+        answer = _design_answer(made, rows, None, cast(Any, SimpleNamespace(kind="PRBS", value=52.0)))
+        assert answer.endswith("bollard pull better") == (said and origin is ParameterOrigin.MEASURED)
+        assert ("measure the bollard pull" in answer) == said
 
 
 def test_the_help_of_the_area_says_that_a_boat_may_leave_it(capsys: pytest.CaptureFixture[str]) -> None:
@@ -361,6 +372,24 @@ def test_area_that_is_enough_holds_nearly_all_boats_about_the_same_centre() -> N
     assert _enough_area(track, area) == (200.0, 20.0)  # 95 m to the north, twice, and 5 % more
     away = replace(track, others=np.full_like(others, np.inf))
     assert _enough_area(away, area) is None
+
+
+def test_an_area_that_boats_leave_has_the_area_to_design_for() -> None:
+    """With 62 % of the boats inside, the answer had no option that keeps nearly all of them in the same water."""
+    t = np.linspace(0.0, 1.0, 5)
+    reach = np.arange(1.0, 101.0)
+    others = np.stack([reach[:, None] * t, 0.1 * reach[:, None] * t], axis=2)
+    track = PredictedTrack(t, 10.0 * t, t, t, others, 0.3, np.array([-15.0, -10.0]))
+    limits = DesignLimits(area=(30.0, 20.0))
+    assert _area_end(track, limits).endswith(
+        "An area of 200 m by 20 m is large enough for this mission: the nominal boat and 95 % of the others stay in "
+        "it. If you have no more room than now, design with `--area 4x20`: boats that leave that area by the same "
+        "proportion stay in yours."
+    )
+    far = replace(track, others=others * [30.0, 1.0])  # no area of whole metres is small enough
+    assert _area_end(far, limits).endswith("95 % of the others stay in it.")
+    inside = replace(track, others=0.05 * others, inside=1.0)
+    assert "--area" not in _area_end(inside, limits)
 
 
 def test_answer_and_mission_say_whether_the_boat_stays_in_the_area(
@@ -668,8 +697,49 @@ def test_a_mission_beyond_the_data_says_what_follows_and_the_limits_that_prevent
     assert "To stay nearer to the data, give --n-max 0.45, or leave" in warning()
     made.problem = replace(task, steps=replace(task.steps, n_max=0.45), validity=narrow)
     assert "To stay nearer to the data, give --max-speed 0.84, or leave" in warning()
+    # A command that is smaller by the rounding alone changes nothing.
+    made.problem = replace(task, steps=replace(task.steps, n_max=0.46), validity=narrow)
+    assert "To stay nearer to the data, give --max-speed 0.84, or leave" in warning()
     made.problem = replace(made.problem, validity={**narrow, "u": (-9.0, 9.0)})
-    assert "To stay nearer to the data, give a smaller --n-max than 0.45, or leave" in warning()
+    assert "To stay nearer to the data, give a smaller --n-max than 0.46, or leave" in warning()
+
+
+@pytest.mark.parametrize(("n_max", "said"), [(1.0, True), (0.46, False)])
+def test_commands_beyond_the_data_are_warned_of_before_the_search(
+    fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n_max: float, said: bool
+) -> None:
+    """The warning came after the search, which takes minutes."""
+    read, received = load_model, list[str]()
+
+    class Search(Exception):
+        """Begin of the search."""
+
+    class Listener(Quiet):
+        """Reporter that keeps the warnings."""
+
+        def warning(self, text: str) -> None:
+            """Keep the text."""
+            received.append(text)
+
+    def search(*_: object, **__: object) -> None:
+        """Stop at the begin of the search."""
+        raise Search
+
+    narrow = {"n_left": (-0.4, 0.5), "n_right": (-0.45, 0.456), "u": (-0.2, 0.84)}
+    monkeypatch.setattr(workflow, "load_model", lambda path: replace(read(path), validity=narrow))
+    monkeypatch.setattr(workflow, "design", search)
+    request = DesignRequest(duration=20.0, steps=8, n_max=n_max)
+    with pytest.raises(Search):
+        make_design(str(fitted), request, tmp_path / "mission.toml", "", Listener())
+    assert received == (
+        [
+            "The largest command of the mission, --n-max 1, is beyond the data that the model was fitted to (n_left "
+            "from -0.4 to 0.5; n_right from -0.45 to 0.46). The model is not tested there. For a mission within these "
+            "commands, stop this design and give --n-max 0.45."
+        ]
+        if said
+        else []
+    )
 
 
 def test_the_page_of_a_mission_begins_with_its_headline(designed: tuple[Path, str, str]) -> None:

@@ -474,6 +474,61 @@ def test_errors_of_a_diagnosis_say_which_command_gives_comparable_ones(
     assert "Comparable" not in printed(shortened(KINDS["thruster"]()))
 
 
+def without_effects(small: dict[str, Any]) -> dict[str, Any]:
+    """Return the diagnosis without an added effect: errors and parameters after are those before."""
+    result = copy.deepcopy(small) | {"effects": [], "rounds": [], "prediction": None}
+    for row in result["parameters_before_after"]:
+        row |= {"after": row["before"], "after_se": row["before_se"]}
+    for kinds in result["errors"].values():
+        for row in (row for kind in kinds.values() for row in kind.values()):
+            row["after"] = row["before"]
+    return result
+
+
+def test_page_of_a_diagnosis_that_adds_nothing_compares_nothing(small: dict[str, Any], tmp_path: Path) -> None:
+    """It had a table with a change of 0.0 s.e. in each row, and ``fit 59 % → 59 %`` in the titles of the panels."""
+    for name, content, compares in (("added", small, True), ("nothing", without_effects(small), False)):
+        folder = tmp_path / name
+        folder.mkdir()
+        page = Page(written(content, folder))
+        assert ("change in standard errors of the value before" in page.words) is compares
+        titles = re.findall(r"fit [^\"<]*?%(?: → [^\"<]*?%)?", json.dumps(page.figures(), ensure_ascii=False))
+        assert titles
+        assert any("→" in title for title in titles) is compares
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        ("unchanged", "is not significantly better or worse with them"),
+        ("rose", "The prediction over the horizon is worse with them."),
+    ],
+)
+def test_errors_that_differ_by_common_errors_alone_are_explained(
+    small: dict[str, Any], verdict: str, words: str
+) -> None:
+    """The errors rose under the answer that no effect is missing, without a word on the cause."""
+    change = {
+        "role": "validation",
+        "ratio": 1.1,
+        "low": 0.8,
+        "high": 1.6,
+        "verdict": verdict,
+        "better": [],
+        "worse": [],
+    }
+    common = {"names": ["lift"], "titles": ["hull lift"], "gain": 9.0, "df": 1, "validation_gain": 4.0, "t": 2.5}
+    common |= {"prediction": change, "parameters": []}
+    result = copy.deepcopy(small) | {"effects": [], "prediction": None, "common_errors": common}
+    begin = "No effect was added: the errors differ because the small errors that every craft has (common errors) were"
+    shown = " ".join(printed(result).split())
+    assert begin in shown
+    assert words in shown
+    given = common | dict.fromkeys(("gain", "df", "validation_gain", "t", "prediction"))
+    for content in (result | {"common_errors": given}, small | {"common_errors": common}):
+        assert begin not in " ".join(printed(content).split())
+
+
 def test_terminal_shows_the_units_of_outages() -> None:
     words = " ".join(printed(KINDS["navigation"]()).split())
     assert "from [s] for [s] 95 % radius [m] error [m] allowed [m]" in words
@@ -528,6 +583,21 @@ def test_parameters_of_a_requested_effect_come_first() -> None:
     result["effect_parameters"] = ["eps_LR"]
     lines = printed(result).split("Parameters")[1].splitlines()
     assert lines[3].split()[0] == "eps_LR"
+
+
+def test_parameters_of_waves_in_a_diagnosed_model_are_printed(small: dict[str, Any]) -> None:
+    """They were among those that only the report has, behind masses and damping."""
+    result = copy.deepcopy(small)
+    row = next(r for r in result["fit"]["parameters"] if r["free"])
+    result["fit"]["parameters"] += [*(row | {"name": f"k{i}"} for i in range(12)), row | {"name": "f_wave"}]
+    assert "f_wave" not in printed(result)
+    names = [line.split()[0] for line in printed(result).split("Parameters")[1].splitlines()[3:12] if line.strip()]
+    result["environment_parameters"] = ["f_wave"]
+    text = printed(result)
+    lines = [line.split()[0] for line in text.split("Parameters")[1].splitlines()[3:12] if line.strip()]
+    added = len({p["name"] for e in result["effects"] for p in e["parameters"]} & set(names))
+    assert lines[added] == "f_wave"  # after those of the added effects
+    assert lines[:added] == names[:added]
 
 
 def test_removed_effect_is_not_shown_as_added(small: dict[str, Any], tmp_path: Path) -> None:

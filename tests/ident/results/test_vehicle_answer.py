@@ -38,6 +38,7 @@ from seatrial.ident.results.answers import (
     not_converged,
     outlier_lines,
     plus_minus,
+    position_drift_notes,
     short_data_warnings,
     smallest_command,
     straight_sentence,
@@ -249,6 +250,41 @@ def residual_sentence(
 
 RATIOS = st.floats(0.01, 100.0) | st.floats(0.98, 1.02)
 CHANNELS = st.dictionaries(st.sampled_from(sorted(NAMES)), st.tuples(RATIOS, RATIOS, RATIOS), min_size=1)
+
+
+def correlated(channel: str, acf: float, *, white: bool = False, after: ResidualTests | None = None) -> ResidualTests:
+    """Return the residual tests of a channel with a largest autocorrelation of ``acf``."""
+    none = np.zeros(0)
+    return ResidualTests(
+        record="run", channel=channel, unit="m", t=none, lags=np.array([0.2, 0.4]), band=0.05, frequency=none,
+        e=none, acf=np.array([0.01, -acf]), ljung_box_p=0.0, periodogram_p=0.5, cumulative=none, normal_p=0.5,
+        white=white, outliers=0, largest=2.0, after=after,
+    )  # fmt: skip
+
+
+def test_a_drift_of_the_position_is_no_missing_effect() -> None:
+    """A p value of 1e-164 of the positions stood in the report without a word on its cause."""
+    still = (correlated("vx", 0.04, white=True), correlated("vy", 0.1))
+    rows = (correlated("x", 0.38), correlated("y", 0.31), correlated("psi", 0.5), *still)
+    (note,) = position_drift_notes(rows, coloured=True)
+    assert "position one step ahead are autocorrelated (up to 0.38), those of the velocity less (up to 0.1)." in note
+    assert note.endswith(
+        "as white; the standard errors are the robust ones where these are larger, which allow for it."
+    )
+    assert "robust" not in position_drift_notes(rows, coloured=False)[0]
+    assert "those of the velocity not." in position_drift_notes((rows[0], still[0]), coloured=True)[0]
+    moving = correlated("vx", 0.25)
+    for others in (
+        (*rows, moving),
+        rows[:3],
+        (correlated("x", 0.15), *still),
+        (correlated("x", 0.4, white=True), *still),
+    ):
+        assert position_drift_notes(others, coloured=True) == []
+    # Of a diagnosis the tests with the effects count.
+    assert position_drift_notes((*rows, correlated("vx", 0.25, after=still[0])), coloured=True) == [note]
+    validation = msgspec.structs.replace(rows[0], role="validation")
+    assert position_drift_notes((validation, *still), coloured=True) == []
 
 
 def in_order(numbers: tuple[float, float, float], known: bool) -> tuple[float, float, float]:

@@ -35,7 +35,7 @@ def test_a_channel_that_rises_without_a_mark_is_named_below_the_table() -> None:
     small = ErrorComparison(before=1.0, after=1.1, unit="m", spread=1.0)
     errors = ErrorTable(one_step={}, horizon={"u": shown}, simulation={"x": rises, "y": small})
     assert unmarked_rises(horizons(errors, 10.0)) == (
-        "Larger with the effects, but without a mark, because no interval shows whether it is chance: simulation, "
+        "Larger after than before, but without a mark, because no interval shows whether it is chance: simulation, "
         "position north x (9.39 → 13.6 m)."
     )
     assert unmarked_rises(horizons(table(y=1.1), 10.0)) == ""
