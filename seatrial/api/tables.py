@@ -170,7 +170,7 @@ def statistics(row: ParameterRow) -> Statistics:
 
 
 def conclusion(result: Result) -> str:
-    """Return the main conclusion of a result, followed by its caveat, which only a diagnosis may have.
+    """Return the main conclusion of a result, followed by its caveat, which only a diagnosis may have, in paragraphs.
 
     Commands and their options are replaced by functions and arguments of the Python interface. A last sentence explains
     ± if the text has it.
@@ -178,7 +178,7 @@ def conclusion(result: Result) -> str:
     from seatrial.ident.results import standard_error_sentence
 
     texts = (result.answer, getattr(result, "caveat", None))
-    return in_python(" ".join(filter(None, (*texts, standard_error_sentence(*texts)))))
+    return in_python("\n".join(filter(None, (*texts, standard_error_sentence(*texts)))))
 
 
 def warning_texts(result: Result) -> list[str]:
@@ -206,7 +206,7 @@ def summary(result: FitResult) -> str:
         f"{fit.model}: {fit.method}{', REML' if fit.restricted else ''}, {fit.message}",
         f"log-likelihood {fit.log_likelihood:.2f}" if fit.log_likelihood is not None else "log-likelihood not finite",
         "",
-        textwrap.fill(conclusion(result), WIDTH),
+        *[textwrap.fill(paragraph, WIDTH) for paragraph in conclusion(result).splitlines()],
         *[textwrap.fill(text, WIDTH) for text in (name_probabilities(effects), causes_sentence(effects)) if text],
         "",
     ]
