@@ -10,6 +10,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from itertools import pairwise
+from statistics import geometric_mean
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -301,7 +302,7 @@ def _simulation_sentence(errors: Errors, horizon: float) -> str:
         if n in table.simulation
     }
     ratios = {n: simulated / predicted for n, (predicted, simulated) in pairs.items() if predicted and simulated}
-    mean = math.exp(sum(map(math.log, ratios.values())) / len(ratios)) if ratios else 1.0
+    mean = geometric_mean(ratios.values()) if ratios else 1.0
     if mean < MUCH_WORSE_SIMULATION:
         return ""
     worst = max(ratios, key=lambda n: ratios[n])

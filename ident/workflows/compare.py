@@ -9,11 +9,11 @@ compared at the samples that all of them predict.
 from __future__ import annotations
 
 import itertools
-import math
 import string
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import geometric_mean
 
 import msgspec
 import numpy as np
@@ -903,7 +903,7 @@ def _evaluation_answer(result: ComparisonResult) -> str:
     errors = [1.0 - e.fit for _, e in rows if e.fit is not None]
     if not errors:
         return f"The logs have no prediction {seconds:g} s ahead."
-    fit = 1.0 - math.prod(errors) ** (1.0 / len(errors))
+    fit = 1.0 - geometric_mean(errors)
     words = f"{seconds:g} s ahead the fit of all channels is {100.0 * fit:.0f} %"
     if len(errors) > 1:
         words += f" ({FIT_OF_ALL} of {len(errors)} channels)"
