@@ -96,14 +96,15 @@ class CampaignComparison(Shown):
     def _content(self) -> Content:
         """Return the answer, the notes, and a row for each combination and parameter with its change and q value.
 
-        Combinations come first, then changed parameters. Angles are in degrees.
+        Combinations come first, of these and of the parameters the changed ones. Angles are in degrees.
         """
         from seatrial.ident.report.formatting import degrees_for
         from seatrial.ident.report.sections.campaigns import absolute_change, change_of, joint_words
         from seatrial.ident.results import q_beside
 
         rows, rate = [], self.result.false_discovery_rate
-        for p in (*self.result.combinations, *self.result.changed_first):
+        combinations = sorted(self.result.combinations, key=lambda c: not c.changed)
+        for p in (*combinations, *self.result.changed_first):
             factor, unit = degrees_for(p.unit)
             means = (number(factor * m.mean) for m in (p.before, p.after))
             rows.append(
@@ -111,9 +112,10 @@ class CampaignComparison(Shown):
             )
         return Content(
             self.answer,
-            tuple(map(in_python, filter(None, (joint_words(self.result), *self.result.notes)))),
+            (),
             ("", "before", "after", "change", "", "change (95 %)", "q"),
             rows,
+            tuple(map(in_python, filter(None, (joint_words(self.result), *self.result.notes)))),
         )
 
     def __repr__(self) -> str:

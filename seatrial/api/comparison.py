@@ -275,14 +275,17 @@ class Comparison(Shown):
     def _content(self) -> Content:
         """Return the answer, the warnings, and the RMS errors over the first horizon.
 
-        The errors have a row for each channel and a column for each model.
+        The errors have a row for each channel and a column for each model. Angles are in degrees.
         """
+        from seatrial.ident.report.formatting import degrees_for
+
         labels, horizon = [m.label for m in self.result.models], self.result.horizons[0]
         rows = []
         for row in self.result.channels:
             if row.seconds == horizon:
-                rms = {e.model: e.rms for e in row.errors}
-                rows.append((row.channel, *(number(rms.get(label), 3) for label in labels), row.unit or "1"))
+                factor, unit = degrees_for(row.unit)
+                rms = {e.model: None if e.rms is None else factor * e.rms for e in row.errors}
+                rows.append((row.channel, *(number(rms.get(label), 3) for label in labels), unit or "1"))
         names = tuple(m.name for m in self.result.models)
         return Content(
             self.answer, tables.warning_texts(self.result), (f"RMS error {horizon:g} s ahead", *names, "unit"), rows

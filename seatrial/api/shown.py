@@ -43,12 +43,15 @@ class Content(NamedTuple):
         Titles of the table; empty without a table.
     rows : sequence of sequences of str
         Cells of the table.
+    remarks : sequence of str
+        Notes that are no warnings.
     """
 
     answer: str
     notes: Sequence[str] = ()
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
+    remarks: Sequence[str] = ()
 
 
 class Shown:
@@ -70,14 +73,18 @@ class Shown:
 
 
 def as_html(content: Content) -> str:
-    """Return a content as HTML: the answer in bold, a paragraph for each warning, and the table. Texts are escaped."""
+    """Return a content as HTML: the answer in bold, a paragraph for each warning, the table, and the remarks.
+
+    Texts are escaped.
+    """
     answer = f"<p><b>{html.escape(content.answer).replace(chr(10), '<br>')}</b></p>" if content.answer else ""
     notes = "".join(f"<p>⚠ {html.escape(note)}</p>" for note in content.notes)
+    remarks = "".join(f"<p>{html.escape(remark)}</p>" for remark in content.remarks)
     if not content.columns:
-        return answer + notes
+        return answer + notes + remarks
     head = "".join(f"<th>{html.escape(c)}</th>" for c in content.columns)
     body = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in row)}</tr>" for row in content.rows)
-    return f"{answer}{notes}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return f"{answer}{notes}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{remarks}"
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -230,6 +230,7 @@ def test_scatter_of_the_mass_is_no_change(logs: dict[str, list[Path]], folder: P
     assert "None of " in found.answer
     assert f" nor has any of {len(found.result.combinations)} combinations of them." in found.answer
     assert "All 10 parameters together: p " in found._repr_html_()
+    assert "⚠ All" not in found._repr_html_()  # a note, which is no warning
     assert not frame[["difference", "relative"]].loc[["m_u"]].isna().any().any()
     shown = found._repr_html_()
     assert "<b>None of" in shown
