@@ -178,7 +178,8 @@ def conclusion(result: Result) -> str:
     from seatrial.ident.results import standard_error_sentence
 
     texts = (result.answer, getattr(result, "caveat", None))
-    return in_python("\n".join(filter(None, (*texts, standard_error_sentence(*texts)))))
+    paragraphs = "\n".join(filter(None, texts))
+    return in_python(" ".join(filter(None, (paragraphs, standard_error_sentence(*texts)))))
 
 
 def warning_texts(result: Result) -> list[str]:

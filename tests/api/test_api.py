@@ -1235,7 +1235,7 @@ def test_notebooks_show_every_result(
         (saved, ("m_u", f"{fit.params['m_u']:.4g}")),
         (again, ("eps_LR", f"{found.params['eps_LR']:.4g}")),
         (only_model, ("m_u", f"{fit.params['m_u']:.4g}")),
-        (compared, ("a&lt;b", f"{ahead['rms'].iloc[0]:.3g}")),
+        (compared, ("a&lt;b", f"{np.degrees(ahead['rms'].iloc[0]):.3g}")),
         (drifted, ("95 % radius", f"{drifted.result.outages[0].at_end.radius:.3g}")),
         (navigated, ("state at the end", "run3")),
         (fit.linearise(0.5), ("time constant [s]", "stable")),
