@@ -92,6 +92,13 @@ class OperationArea(NamedTuple):
         track = np.array([x, y])
         return bool(((track >= low) & (track <= high)).all())
 
+    def is_kept(self, x: FloatArray, y: FloatArray) -> bool:
+        """Return whether the track of the nominal boat is inside, and enough of the sampled boats are.
+
+        ``x`` and ``y`` (K,) are the positions of the nominal boat, north and east of the start [m].
+        """
+        return self.contains(x, y) and self.inside >= ENOUGH_INSIDE
+
 
 def area_sentence(area: OperationArea, x: FloatArray, y: FloatArray) -> str:
     """Return the sentences that say whether a predicted track keeps the area, and what to do if boats leave it.
@@ -103,15 +110,14 @@ def area_sentence(area: OperationArea, x: FloatArray, y: FloatArray) -> str:
     x, y : array (K,)
         Positions of the nominal boat, north and east of the start [m].
     """
-    kept = area.contains(x, y)
-    nominal = "stays" if kept else "does not stay"
+    nominal = "stays" if area.contains(x, y) else "does not stay"
     (north, east), (south, west) = area.size, (-v for v in area.corner)
     text = (
         f"The nominal boat {nominal} in the area of {north:g} m north by {east:g} m east, and "
         f"{100 * area.inside:.0f} % of the boats with sampled parameters do, if the start is {south:.0f} m north and "
         f"{west:.0f} m east of its south-west corner."
     )
-    if kept and area.inside >= ENOUGH_INSIDE:
+    if area.is_kept(x, y):
         return text
     return f"{text} To keep more of them inside, give a shorter --duration, a smaller --n-max or a larger --area."
 

@@ -1419,7 +1419,7 @@ class _Search:
             if any(is_accepted(r, self.policy) for r in refits):
                 break
         self._refit_waves_beside(current, refits, untested)
-        leading = max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
+        leading = self._best_accepted(refits)
         most, curve = (-np.inf, None) if leading is None else (leading.criterion, leading.effect.parametric_form_of)
         # A nonparametric candidate competes only if its score is high compared with the best accepted parametric
         # refit, or if that effect is one form of the same curve.
@@ -1600,6 +1600,10 @@ class _Search:
         if len(larger.effects) > len(model.effects) + 1 and not any(m.contains(larger) for m in self.larger_models):
             self.larger_models.append(LargerModel(larger, frozenset(e.name for e in null)))
 
+    def _best_accepted(self, refits: Sequence[Refit]) -> Refit | None:
+        """Return the accepted refit with the largest criterion; None without any."""
+        return max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
+
     def _refit_waves_beside(self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]) -> None:
         """Refit the model with waves if the best refit of a round is an oscillating mass with a parameter at its bound.
 
@@ -1607,7 +1611,7 @@ class _Search:
         then takes the place of waves, which it resembles. The waves begin at its frequency. If they explain more, the
         mass is no candidate any more: it would take the place of other waves beside them.
         """
-        best = max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
+        best = self._best_accepted(refits)
         if self.waves is None or best is None or WAVES not in best.effect.alternatives:
             return
         fit, own = best.fitted.fit, {p.name for p in best.effect.parameters}

@@ -9,3 +9,4 @@ from .propulsion.lag_mismatch import SHORTEST_OWN_LAG as SHORTEST_OWN_LAG
 from .registry import catalogue as catalogue
 from .registry import is_special_case as is_special_case
 from .registry import separating_experiment as separating_experiment
+from .registry import values_without as values_without

@@ -53,6 +53,15 @@ def catalogue() -> Mapping[str, Effect]:
     return MappingProxyType(dict(sorted(found.items())))
 
 
+def values_without(name: str) -> dict[str, float]:
+    """Return the values of the parameters of an effect without which it changes nothing, by name.
+
+    They are empty for an effect that the catalogue lacks.
+    """
+    effect = catalogue().get(name)
+    return {} if effect is None else {p.name: p.value for p in effect.parameters}
+
+
 def is_special_case(first: str, second: str) -> bool:
     """Return whether one of two effects of the catalogue is a special case of the other (`Effect.nests`), by name.
 

@@ -68,6 +68,9 @@ def common_kernels() -> Iterator[list[LargerModel]]:
 
 
 def common_model_of(model: Model) -> Model | None:
-    """Return the larger model that contains the model, or None. Of several, it is the one that was appended last."""
+    """Return the larger model that contains the model; None without one.
+
+    If several larger models contain it, the one that was appended last is returned.
+    """
     known = (larger for models in reversed(_larger) for larger in reversed(models))
     return next((larger.model for larger in known if larger.contains(model)), None)

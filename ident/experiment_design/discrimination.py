@@ -357,7 +357,7 @@ def baselines_apart(
 
 
 def _ignore(phase: str) -> None:
-    """Accept the name of a phase and do nothing, because no progress is reported."""
+    """Do nothing with the name of a phase: the caller wants no report of the progress."""
 
 
 def discriminate(

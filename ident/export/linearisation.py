@@ -257,10 +257,10 @@ class LinearModel:
 
     @property
     def poles(self) -> Complex:
-        """Eigenvalues (n,) of A [1/s]: those of the boat first, then of its thrusters, then of other states.
+        """Eigenvalues (n,) of A [1/s] in three groups: the boat, its thrusters, and other states.
 
-        Other states are those of disturbances and sensors, such as waves. `mainly` names the states of each pole. Those
-        of each group are in the order of the size of their real part, the slowest first.
+        The other states belong to disturbances and sensors, such as waves. The slowest pole of a group comes first: the
+        order is that of the size of the real parts. `mainly` names the states of each pole.
         """
         return self._modes[0]
 

@@ -58,7 +58,7 @@ from seatrial.ident.results.parts import (
     ResidualTests,
     ResultWarning,
 )
-from seatrial.ident.results.tables import SCORES_PASS, format_number, parameter_label, sides_compare_mass
+from seatrial.ident.results.tables import SCORES_PASS, format_number, in_degrees, parameter_label, sides_compare_mass
 from seatrial.ident.validation import FEWEST, OUTLIER_SDS, WARM_UP, ChannelResiduals, PredictionEvaluation
 
 NAMES = {
@@ -306,10 +306,9 @@ def _simulation_sentence(errors: Errors, horizon: float) -> str:
     if mean < MUCH_WORSE_SIMULATION:
         return ""
     worst = max(ratios, key=lambda n: ratios[n])
-    unit = table.horizon[worst].unit
-    factor = math.degrees(1.0) if unit.startswith("rad") else 1.0
+    factor, unit = in_degrees(table.horizon[worst].unit)
     predicted, simulated = (factor * error for error in pairs[worst])
-    unit = f" {unit.replace('rad', 'deg')}".rstrip()
+    unit = f" {unit}".rstrip()
     return (
         f"{begin} is much worse: its errors are {mean:.2g} times those {horizon:g} s ahead (geometric mean of all "
         f"channels), most in {NAMES.get(worst, worst)}, {format_number(simulated)}{unit} in place of "

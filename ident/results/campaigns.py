@@ -13,7 +13,7 @@ from seatrial.daq.errors import counted, first_names
 from seatrial.ident.effects import catalogue
 from seatrial.ident.results.commands import SCORE_TESTED, FailedLog
 from seatrial.ident.results.parts import Change, ErrorComparison, Part, Result
-from seatrial.ident.results.tables import format_number
+from seatrial.ident.results.tables import format_number, in_degrees
 
 Campaign = Literal["before", "after"]
 FEW_LOGS = 4  # with up to so many logs of both campaigns, intervals by Student's t are wide
@@ -627,8 +627,7 @@ def _unexplained_sentence(result: CampaignsResult) -> str:
     with_changes, with_all, unit = pairs[worst]
     if with_changes < MUCH_WORSE * with_all:
         return ""
-    scale = math.degrees(1.0) if unit.startswith("rad") else 1.0
-    shown = unit.replace("rad", "deg")
+    scale, shown = in_degrees(unit)
     return (
         f"These changes do not explain all: the error of {worst} {result.horizon:g} s ahead is "
         f"{format_number(scale * with_changes)} {shown} with them, and {format_number(scale * with_all)} {shown} with "

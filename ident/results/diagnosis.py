@@ -540,6 +540,11 @@ def _title_of(effect: Effect, diagnosis: Diagnosis) -> str:
     return f"{effect.title} (your effect {effect.name})" if own else effect.title
 
 
+def _effects_for_a_fit(diagnosis: Diagnosis) -> set[str]:
+    """Return the names of the effects that a fit can take: those of the catalogue, and those of the user."""
+    return {*catalogue(), *diagnosis.own_effects}
+
+
 def _fit_command(names: Sequence[str], diagnosis: Diagnosis) -> str:
     """Return the command that fits a vehicle model with the effects ``names``. User-defined effects need their file."""
     file = "--effects FILE.py " if set(names) & set(diagnosis.own_effects) else ""
@@ -617,7 +622,7 @@ def _small_candidates_sentence(diagnosis: Diagnosis, bench: bool) -> str:
     """
     if not (small := diagnosis.remaining):
         return ""
-    n, known = len(small), {*catalogue(), *diagnosis.own_effects}
+    n, known = len(small), _effects_for_a_fit(diagnosis)
     strongest = f"{candidate_title(small[0].name)}, {_p_in_words(small[0].p_block)}"
     if n == 1:
         found = f"1 candidate passes its score test, but explains too little to be tried: {strongest}"
@@ -813,7 +818,7 @@ def _removed_sentences(diagnosis: Diagnosis, removed: Sequence[RemovedEffect], h
         refit = _last_refit(diagnosis, r.effect.name)
         size = "" if refit is None else sizes_in_words(refit.effect, refit.fitted)
         use = f"; {_fit_command([r.effect.name], diagnosis)} estimates it with the model"
-        known = r.effect.name in catalogue() or r.effect.name in diagnosis.own_effects
+        known = r.effect.name in _effects_for_a_fit(diagnosis)
         what = "it" if len(removed) == 1 else _title_of(r.effect, diagnosis)
         found.append(
             f"The validation data support {what}{f' ({size})' * bool(size)}: their log-likelihood "

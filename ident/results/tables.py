@@ -87,6 +87,11 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
+def in_degrees(unit: str) -> tuple[float, str]:
+    """Return the factor from a unit to that of a sentence, and this unit: degrees for radians, otherwise the same."""
+    return (math.degrees(1.0), unit.replace("rad", "deg")) if unit.startswith("rad") else (1.0, unit)
+
+
 def format_number(value: float) -> str:
     """Return a number as text for a sentence: two significant digits, or an integer from 99.5 on (113, 8.4, 0.66)."""
     # From 99.5: with two digits, 99.6 would be printed with an exponent.

@@ -71,6 +71,10 @@ class _Damping:
     powers: Mapping[str, int]
     unit: str
 
+    def coefficients(self, fitted: FittedLogs) -> list[str]:
+        """Return the names of its parameters in the logs, which may be ratios such as ``d_u/T``."""
+        return [n for n in fitted.names if n.partition("/")[0] in self.powers]
+
 
 DAMPING = (
     _Damping("u", "drag ahead", {"d_u": 1, "d_uu": 2, "d_uuu": 3}, "N"),
@@ -129,7 +133,7 @@ def _damping(fitted: FittedLogs, damping: _Damping, reasons: Reasons) -> Combina
 
     A parameter at its bound in a log has no error there: its value is part of the sum, which the log determines anyway.
     """
-    names = [n for n in fitted.names if n.partition("/")[0] in damping.powers]
+    names = damping.coefficients(fitted)
     # All of them are ratios to the same quantity, or none is.
     divisors = {n.partition("/")[2] for n in names}
     usable = [n for n in names if (why := reasons[n]) is None or why[0] in ("fixed", "at-bound", "mainly-prior")]
@@ -157,7 +161,7 @@ def _only_one_coefficient(fitted: FittedLogs, damping: _Damping, reasons: Reason
 
     None if more than one coefficient is estimated in some log, or if the others are missing for another reason.
     """
-    names = [n for n in fitted.names if n.partition("/")[0] in damping.powers]
+    names = damping.coefficients(fitted)
     known = [n for n in names if fitted.known(n).any()]
     others = [n for n in names if n not in known]
     if len(known) != 1 or not others or any((reasons[n] or ("", ""))[0] != "at-bound" for n in others):

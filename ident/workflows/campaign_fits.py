@@ -10,7 +10,7 @@ from typing import Any, get_args
 import numpy as np
 
 from seatrial.daq.errors import counted
-from seatrial.ident.effects import catalogue
+from seatrial.ident.effects import catalogue, values_without
 from seatrial.ident.estimation import (
     AT_BOUND,
     VAGUE,
@@ -322,11 +322,13 @@ def _evidence(
     parameters: Sequence[ParameterDifference],
     after: bool,
 ) -> Evidence | None:
-    """Return the strongest parameter of an effect in one campaign; None if none can be tested.
+    """Return the parameter of an effect that is farthest from its value without the effect, in one campaign.
+
+    The distance counts in multiples of that at which it is significant. None if no parameter can be tested.
 
     ``differences`` and ``parameters`` are those of the compared parameters of the effect.
     """
-    defaults = _values_without_effect(effect)
+    defaults = values_without(effect)
     found = []
     for parameter, difference in zip(parameters, differences, strict=True):
         mean: Contrast = difference.after if after else difference.before
@@ -335,11 +337,6 @@ def _evidence(
             needed = float(student_ppf(1 - LEVEL / 2 / len(parameters), mean.df))
             found.append(Evidence(name=parameter.name, distance=float(distance), needed=needed))
     return max(found, key=lambda e: e.distance / e.needed, default=None)
-
-
-def _values_without_effect(effect: str) -> Values:
-    """Return the values of the parameters of an effect without it, by name; empty for one that is not listed."""
-    return {p.name: p.value for p in catalogue()[effect].parameters} if effect in catalogue() else {}
 
 
 def _is_present(fitted: FittedLogs, effect: str, evidence: Evidence | None, after: bool) -> bool | None:
@@ -351,7 +348,7 @@ def _is_present(fitted: FittedLogs, effect: str, evidence: Evidence | None, afte
     """
     if evidence is not None:
         return evidence.distance > evidence.needed
-    defaults = _values_without_effect(effect)
+    defaults = values_without(effect)
     own, of_campaign = (
         [r for rows in part.rows for r in rows.values() if r["effect"] == effect and r["free"]]
         for part in (fitted, fitted.part(fitted.after == after))

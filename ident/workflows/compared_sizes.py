@@ -6,14 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from seatrial.ident.effects import catalogue
+from seatrial.ident.effects import values_without
 from seatrial.ident.estimation import SavedModel
 from seatrial.ident.model import Effect
-from seatrial.ident.numerics import student_ppf
+from seatrial.ident.numerics import normal_ppf
 from seatrial.ident.results import SIZE_NOT_SIGNIFICANT, plus_minus
 
 LEVEL = 0.05  # of all parameters of an effect together
-MANY = 1e6  # degrees of freedom with which Student's t is the normal distribution
 
 
 def size_notes(models: Mapping[str, SavedModel]) -> list[str]:
@@ -44,8 +43,7 @@ def size_notes(models: Mapping[str, SavedModel]) -> list[str]:
 def _insignificant(effect: Effect, saved: SavedModel) -> str:
     """Return the strongest parameter of an effect with its error, if none is significant; else empty text."""
     own = {p.name: p for p in saved.model.parameters}
-    known = catalogue().get(effect.name)
-    without = {} if known is None else {p.name: p.value for p in known.parameters}
+    without = values_without(effect.name)
     estimated = [p for x in effect.parameters if (p := own.get(x.name)) is not None and p.free]
     if not estimated or any(p.per_record for p in estimated):
         return ""
@@ -53,7 +51,7 @@ def _insignificant(effect: Effect, saved: SavedModel) -> str:
     if not np.all(np.isfinite(errors)) or min(errors) <= 0.0:
         return ""
     distances = [abs(p.value - without.get(p.name, 0.0)) / e for p, e in zip(estimated, errors, strict=True)]
-    if max(distances) > student_ppf(1.0 - LEVEL / 2.0 / len(distances), MANY):
+    if max(distances) > normal_ppf(1.0 - LEVEL / 2.0 / len(distances)):
         return ""
     k = int(np.argmax(distances))
     size = f"{plus_minus(estimated[k].value, errors[k])} {estimated[k].unit}".rstrip()

@@ -1025,7 +1025,7 @@ def _area_end(track: PredictedTrack | None, limits: DesignLimits) -> str:
     if track is None or area is None:
         return ""
     text = area_sentence(area, track.x, track.y)
-    enough = None if text.endswith("south-west corner.") else _enough_area(track, area)
+    enough = None if area.is_kept(track.x, track.y) else _enough_area(track, area)
     if enough is None:
         return f". {text}"
     north, east = (math.floor(side * min(side / needed, 1.0)) for side, needed in zip(area.size, enough, strict=True))

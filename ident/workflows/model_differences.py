@@ -49,9 +49,10 @@ def _description(saved: SavedModel) -> dict[DifferenceKind, tuple[str, ...]]:
 
 
 def _measured_channels(saved: SavedModel) -> tuple[str, ...]:
-    """Return the outputs of a model that the data of its fit contained; all outputs if the rates are unknown.
+    """Return the names of the outputs that the sensors of the fitted data measured.
 
-    A user-defined model keeps its sensors without data: their rate is not in model.toml.
+    A user-defined model keeps its sensors without data, but model.toml has no rate for them. If it has no rates at all,
+    all outputs are returned.
     """
     sensors = [s for s in saved.model.sensors if not saved.rates or s.name in saved.rates]
     return tuple(o.name for s in sensors for o in s.outputs)
@@ -63,7 +64,7 @@ def _structure_name(model: Model) -> str:
 
 
 def _value_text(p: Parameter) -> str:
-    """Return a fixed parameter with its value and unit, such as ``c1 = 40 N``."""
+    """Return the name, the value and the unit of a fixed parameter as text, such as ``c1 = 40 N``."""
     return f"{p.name} = {p.value:.6g} {p.unit}".rstrip()
 
 
