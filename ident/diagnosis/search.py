@@ -17,7 +17,7 @@ Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -278,7 +278,7 @@ def diagnose(
     judgements = assess_alternatives(kept, evidence, search.policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     with search.work.timed("evaluation"):
-        shapes, undrawn = _reported_curves(base, kept, judgements, records)
+        shapes, undrawn = _reported_curves(base, kept, judgements, records, search.nonparametric_effect)
     return Diagnosis(
         before=widened if current is before else before,
         after=widened,
@@ -808,6 +808,7 @@ class _Search:
         self._tested: list[_TestedModel] = []
         self._possible_rounds = 1  # with the present one
         self.larger_models: list[LargerModel] = []
+        self._nonparametric: dict[tuple[str, int], tuple[Effect, FittedModel]] = {}  # by name, and id of the model
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
@@ -1315,6 +1316,7 @@ class _Search:
         while True:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
+            self._share_reduced_kernels(current, chosen)
             with self.work.timed("without", len(chosen)):
                 weights = effect_importance(
                     base, current, chosen, self.rounds, self.records, self.validation_data, self.policy, without
@@ -1404,7 +1406,7 @@ class _Search:
         batches = [specific[k : k + size] for k in range(0, size * self.policy.n_batches, size)]
         last = [s for batch in batches for s in batch if s.name in failed]
         curves = {
-            s.name: _nonparametric_effect_of(s, current)
+            s.name: self.nonparametric_effect(s, current)
             for s in [s for s in passed if s.nonparametric][: self.policy.n_nonparametric]
         }
         specific_effects = [self.candidates[s.name] for batch in batches for s in batch]
@@ -1429,7 +1431,7 @@ class _Search:
             : self.policy.n_nonparametric
         ]
         self._plan(after, (len(unknown), len(unknown)))
-        drawn = [(curves.get(s.name) or _nonparametric_effect_of(s, current), s) for s in unknown]
+        drawn = [(self.nonparametric_effect(s, current), s) for s in unknown]
         self._refit_all(current, drawn, refits, untested)
         self._plan(after, (0, 0))
         names = tuple(s.name for s in passed)
@@ -1584,9 +1586,8 @@ class _Search:
     def _share_kernels(self, model: Model, effects: Sequence[Effect]) -> None:
         """Let one kernel of sensitivities serve the refits of a model with each of the effects.
 
-        Two kinds of effects need a kernel of their own. The states of an effect would take time in all refits. An
-        effect that begins at a time in a run is fitted from many such times, so that its own kernel is worth its
-        compilation.
+        An effect with states needs a kernel of its own: its states would take time in all refits. Effects that the
+        shared kernels of earlier rounds serve need no further one.
         """
         added = [r.chosen.effect for r in self.rounds if r.chosen is not None]
         null = [e for e in added if not e.states]
@@ -1594,11 +1595,46 @@ class _Search:
         values = {p.name: p.value for e in null for p in e.parameters}
         larger = model.with_values({name: value for name, value in values.items() if name in model.values})
         for effect in effects:
-            searched = times_of_change([effect], self.records)
-            if not effect.states and not searched and larger.accepts(effect):
+            if not effect.states and larger.accepts(effect) and not self._has_shared_kernel(model + effect):
                 larger, null = larger + effect, [*null, effect]
-        if len(larger.effects) > len(model.effects) + 1 and not any(m.contains(larger) for m in self.larger_models):
+        if len(larger.effects) > len(model.effects) + 1:
             self.larger_models.append(LargerModel(larger, frozenset(e.name for e in null)))
+
+    def _share_reduced_kernels(self, current: FittedModel, chosen: Sequence[Refit]) -> None:
+        """Let one kernel serve the fits in which an effect with states is left out, for each such effect.
+
+        Its states are left out, too, so that the kernels of the rounds do not serve these fits. With fewer than three
+        effects there is only one such fit, which needs no shared kernel.
+        """
+        shared = next((m for m in reversed(self.larger_models) if m.contains(current.fit.model)), None)
+        if shared is None or len(chosen) < 3:
+            return
+        for name in (c.effect.name for c in chosen if c.effect.states):
+            if not self._has_shared_kernel(current.fit.model.without(name)):
+                self.larger_models.append(LargerModel(shared.model.without(name), shared.null))
+
+    def _has_shared_kernel(self, model: Model) -> bool:
+        """Return whether the kernel of a larger model serves this model."""
+        return any(larger.contains(model) for larger in self.larger_models)
+
+    def nonparametric_effect(self, score: Score, fitted: FittedModel) -> Effect:
+        """Return the nonparametric effect that a score tests, with priors scaled to the size of the boat.
+
+        It is a lagged or resonant response to the thrusters, or a curve over the interval of its variable in the data.
+        The score must have a ``curve``. A repeated call with the same fitted model returns the same object, so that the
+        compiled kernels of the model with this effect are used again.
+        """
+        assert score.curve is not None
+        key = score.name, id(fitted)
+        if key not in self._nonparametric:
+            tested = (score.kind, score.curve)
+            responses = (e for e in input_response_effects(fitted.model) if (e.kind, e.curve) == tested)
+            effect = next(responses, None) or nonparametric_effect(
+                fitted.model, score.curve, _variable_interval(fitted, score.curve)
+            )
+            # The fitted model is kept as well, so that its id remains that of this object.
+            self._nonparametric[key] = scale_priors(effect, size_of(fitted.fit.model)), fitted
+        return self._nonparametric[key][0]
 
     def _best_accepted(self, refits: Sequence[Refit]) -> Refit | None:
         """Return the accepted refit with the largest criterion; None without any."""
@@ -1882,20 +1918,6 @@ def _with_initial_value(parameter: Parameter, score: Score, scan: Mapping[str, f
     return parameter.at(value)
 
 
-def _nonparametric_effect_of(score: Score, fitted: FittedModel) -> Effect:
-    """Return the nonparametric effect that a score tests, with priors scaled to the size of the boat.
-
-    It is a lagged or resonant response to the thrusters, or a curve over the interval of its variable in the data. The
-    score must have a ``curve``.
-    """
-    assert score.curve is not None
-    size, tested = size_of(fitted.fit.model), (score.kind, score.curve)
-    for effect in input_response_effects(fitted.model):
-        if (effect.kind, effect.curve) == tested:
-            return scale_priors(effect, size)
-    return scale_priors(nonparametric_effect(fitted.model, score.curve, _variable_interval(fitted, score.curve)), size)
-
-
 def _variable_interval(fitted: FittedModel, curve: ForceCurve) -> tuple[float, float]:
     """Return the ends of the interval over which a curve of a variable is fitted, in the unit of the variable.
 
@@ -1911,7 +1933,11 @@ def _variable_interval(fitted: FittedModel, curve: ForceCurve) -> tuple[float, f
 
 
 def _reported_curves(
-    before: FittedModel, rounds: Sequence[Round], judgements: Sequence[EffectAttribution], records: Sequence[Record]
+    before: FittedModel,
+    rounds: Sequence[Round],
+    judgements: Sequence[EffectAttribution],
+    records: Sequence[Record],
+    effect_of: Callable[[Score, FittedModel], Effect],
 ) -> tuple[list[NonparametricForce], str | None]:
     """Return the nonparametric curves for the report, and why the illustrating curve could not be fitted.
 
@@ -1931,6 +1957,8 @@ def _reported_curves(
         Attribution of each effect, the most important first.
     records
         Estimation data.
+    effect_of
+        Returns the nonparametric effect that a score tests on a fitted model (`_Search.nonparametric_effect`).
     """
     found, current, undrawn = [], before, None
     chosen = [r for r in rounds if r.chosen is not None]
@@ -1940,7 +1968,7 @@ def _reported_curves(
             found.append(_curve_with_errors(r.effect, r.fitted))
         elif r.effect.name == first and (likely := _best_passing_curve(search_round)):
             try:
-                effect = _nonparametric_effect_of(likely, current)
+                effect = effect_of(likely, current)
                 drawn_fit = fit_and_evaluate(current.fit.model + effect, records, (), settings=DRAWN)
                 found.append(_curve_with_errors(effect, drawn_fit))
             except FIT_ERRORS as problem:

@@ -54,17 +54,23 @@ def common_kernels() -> Iterator[list[LargerModel]]:
     kernels than to run them. The kernel of one model with all of these effects serves all fits: the effects that a fit
     lacks keep the parameter values at which they change nothing.
 
+    At the end of a context inside another one, its models pass to the outer context. Evaluations after a search then
+    use the kernels of the search.
+
     Yields
     ------
     list[LargerModel]
         The larger models, at first none. The caller appends to the list.
     """
+    outer = _larger[-1] if _larger else None
     models: list[LargerModel] = []
     _larger.append(models)
     try:
         yield models
     finally:
         _larger[:] = [m for m in _larger if m is not models]
+        if outer is not None:
+            outer += models
 
 
 def common_model_of(model: Model) -> Model | None:

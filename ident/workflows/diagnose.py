@@ -21,6 +21,7 @@ from seatrial.ident.diagnosis import (
     with_weighed_mass,
 )
 from seatrial.ident.effects import catalogue
+from seatrial.ident.engine import common_kernels
 from seatrial.ident.estimation import (
     EstimationOptions,
     RefittedEffect,
@@ -191,6 +192,7 @@ def refitted_effects(found: Diagnosis) -> tuple[RefittedEffect, ...]:
     return tuple(tried)
 
 
+@common_kernels()  # the kernels of the search also serve the evaluation of the model that it finds
 def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosedModel:
     """Find the effects that a model lacks. No file is written.
 

@@ -34,6 +34,7 @@ from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.diagnosis.search import _Search, _with_initial_values, diagnose, evaluate_diagnosis
 from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine import LargerModel
 from seatrial.ident.estimation import AT_BOUND
 from seatrial.ident.estimation.fitted_model import FittedModel, validated_in_blocks
 from seatrial.ident.estimation.homogeneity import BETWEEN, ParameterShift
@@ -1349,15 +1350,14 @@ def test_effects_are_kept_if_the_model_without_them_cannot_be_fitted(monkeypatch
     assert [(w.effect, w.untested) for w in found] == [("hump", "not finite"), ("cubic", "not finite")]
 
 
-def test_curve_of_an_ambiguous_effect_is_omitted_if_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: Any) -> Any:
+def test_curve_of_an_ambiguous_effect_is_omitted_if_it_cannot_be_fitted() -> None:
+    def fails(*_: Any, **__: Any) -> Any:
         raise ValueError("x0")
 
     table = Score("X(u)", 100.0, 1, 0.0, {}, {}, EffectKind.NONPARAMETRIC, ForceCurve("X", "u"))
     chosen = refit("hump", 900.0)
     rounds = [Round((table,), ("X(u)",), (chosen,), chosen)]
-    monkeypatch.setattr(search, "_nonparametric_effect_of", fails)
-    drawn, undrawn = search._reported_curves(blank(), rounds, [EffectAttribution("hump", "ambiguous")], [])
+    drawn, undrawn = search._reported_curves(blank(), rounds, [EffectAttribution("hump", "ambiguous")], [], fails)
     assert (drawn, undrawn) == ([], "hump: x0")
     judged = (EffectAttribution("hump", "ambiguous"),)
     found = Diagnosis(
@@ -1635,7 +1635,34 @@ def test_refits_with_effects_without_states_share_a_kernel() -> None:
     assert larger.null == {"mismatch", "leak", "yaw-bias"}
     mine._share_kernels(model, [known["mismatch"], known["yaw-bias"]])  # this kernel serves them already
     mine._share_kernels(model, [known["wind"]])  # one effect needs no larger model
+    mine._share_kernels(model, [known["wind"], known["leak"]])  # nor does one beside effects that have a kernel
     assert mine.larger_models == [larger]
+    mine._share_kernels(model + known["mismatch"], [known["leak"], known["yaw-bias"]])  # a later round
+    assert mine.larger_models == [larger]
+    mine._share_kernels(model, [known["wind"], known["leak"], known["cg-offset"]])
+    assert [e.name for e in mine.larger_models[1].model.effects[len(model.effects) :]] == ["wind", "cg-offset"]
+
+
+def test_fits_without_an_effect_with_states_share_a_kernel() -> None:
+    model, known = with_disturbances(horizontal_model("shaft")), catalogue()
+    chosen = [replace(refit(name, 50.0), effect=known[name]) for name in ("sway-slosh", "wind", "mismatch")]
+    found = model
+    for r in chosen:
+        found = found + r.effect
+    mine = a_search()
+    mine.larger_models = [LargerModel(found + known["leak"], frozenset({"wind", "mismatch", "leak"}))]
+    current = blank(fit=blank(model=found))
+    mine._share_reduced_kernels(current, chosen[:2])  # a single fit without the slosh needs no larger model
+    assert len(mine.larger_models) == 1
+    mine._share_reduced_kernels(current, chosen)
+    mine._share_reduced_kernels(current, chosen)
+    _, reduced = mine.larger_models
+    names = [e.name for e in reduced.model.effects[len(model.effects) :]]
+    assert names == ["wind", "mismatch", "leak"]
+    assert reduced.model.states == model.states
+    assert reduced.contains(found.without("sway-slosh"))
+    assert reduced.contains(model + known["wind"])
+    assert reduced.contains(model + known["wind"] + known["leak"])
 
 
 def test_shared_kernel_of_a_later_round_leaves_an_effect_that_was_found_without_a_size() -> None:

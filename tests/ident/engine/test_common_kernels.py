@@ -147,5 +147,6 @@ def test_larger_models_are_used_only_in_their_context() -> None:
             assert common_model_of(model) is outer[0].model
             inner.append(LargerModel(model + catalogue()["mismatch"], frozenset({"mismatch"})))
             assert common_model_of(model) is inner[0].model
-        assert common_model_of(model) is outer[0].model
+        assert outer == [outer[0], inner[0]]  # the inner models pass to the outer context
+        assert common_model_of(model) is inner[0].model
     assert common_model_of(model) is None
