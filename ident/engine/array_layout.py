@@ -13,6 +13,8 @@ import numpy as np
 
 # Names of the data arrays in the graphs: inputs at both ends of the interval, outputs, and length of the interval
 ROWS = frozenset({"u", "u_next", "y", "h"})
+# Names of the arrays of the derivatives of the filter's mean (n,) and covariance (n, n) by the parameters, in lanes
+DERIVATIVE_OF_MEAN, DERIVATIVE_OF_COVARIANCE = "dm", "dP"
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,8 @@ class Layout:
         Number of lanes in one group: the numbers that a vector register holds (2, 4 or 8 in double precision).
     single : frozenset[str]
         Names of the arrays in single precision. All others are in double precision.
+    routines : tuple[str, ...]
+        Names of the routines (`lane_routines`) that the machine code calls.
     """
 
     sizes: Mapping[str, int]
@@ -51,6 +55,7 @@ class Layout:
     grams: frozenset[str]
     width: int
     single: frozenset[str] = frozenset()
+    routines: tuple[str, ...] = ()
 
     def dtype(self, name: str) -> type[np.floating]:
         """Return the type of the numbers of the array ``name``: float32 for an array of `single`, otherwise float64."""

@@ -412,19 +412,24 @@ class EkfGraphs:
             S = H @ PH + S
         if output.angle:
             e = _wrap_angle(e)
-        scaled, inverse_variance = e / ca.sqrt(S), 1 / S
-        slope = outlier_density.score(scaled) / ca.sqrt(S) if output.robust else e / S
+        slope, inverse_variance = self.gain_factors(output, e, S)
         ll = (
-            outlier_density.log_density(scaled) - 0.5 * ca.log(S)
+            outlier_density.log_density(e / ca.sqrt(S)) - 0.5 * ca.log(S)
             if output.robust
             else -0.5 * (e * slope + ca.log(2 * math.pi * S))
         )
-        if output.robust:
-            inverse_variance = outlier_density.score_slope(scaled) / S
         if H is None:
             return ScalarUpdate(sample, e, S, slope, ll)
         P_after = self._updated_covariance(sample, P, PH, S, inverse_variance)
         return ScalarUpdate(sample, e, S, slope, ll, dx + PH * slope, P_after, PH, inverse_variance)
+
+    @staticmethod
+    def gain_factors(output: Output, e: Any, S: Any) -> tuple[Any, Any]:
+        """Return ``slope`` and ``inverse_variance`` of `ScalarUpdate` for an innovation e and its variance S."""
+        if not output.robust:
+            return e / S, 1 / S
+        scaled = e / ca.sqrt(S)
+        return outlier_density.score(scaled) / ca.sqrt(S), outlier_density.score_slope(scaled) / S
 
     def _updated_covariance(self, sample: Sample, P: Any, PH: Any, S: Any, inverse_variance: Any) -> Any:
         """Return the covariance (n, n) after the update by one scalar measurement, in Joseph's form if that is chosen.

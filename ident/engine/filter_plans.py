@@ -17,6 +17,7 @@ from seatrial.ident.engine import jit
 from seatrial.ident.engine.array_layout import ROWS
 from seatrial.ident.engine.ekf_adjoint import Adjoint, adjoint_of_prediction, adjoint_of_update
 from seatrial.ident.engine.ekf_graph import EkfGraphs, Update
+from seatrial.ident.engine.ekf_tangent import TangentStages, directional_derivative
 from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, ProductStage, split_by_lanes, stage
 
 
@@ -118,14 +119,17 @@ class Plans:
         ``de de' / S + dS dS' / (2 S^2)``. If the density of the noise includes outliers, both terms are reduced by a
         few per cent.
         """
-        g, lanes, single = self.graphs, {"ds", "dp", "dll", "lost"}, {"ds", "dp"}
+        g = self.graphs
+        if g.covariance and not g.joseph and not g.model.second_order:
+            return self._tangent_by_matrices(double)
+        lanes, single = {"ds", "dp", "dll", "lost"}, {"ds", "dp"}
         stages: list[ExpressionStage | GramStage] = []
         ds, dp = ca.SX.sym("ds", self.n_s), ca.SX.sym("dp", self.n_parameters)
         for q, (_, u, bit) in enumerate(self._forward_steps()):
             seeds = {"ds": ds, "dp": dp}
-            results = {"ds": _directional_derivative(g, u.s, ds, dp)}
+            results = {"ds": directional_derivative(g, u.s, ds, dp)}
             if u.e is not None:
-                de, dS = _directional_derivative(g, u.e, ds, dp), _directional_derivative(g, u.S, ds, dp)
+                de, dS = directional_derivative(g, u.e, ds, dp), directional_derivative(g, u.S, ds, dp)
                 results["dll"] = ca.sum1(0.5 * dS * (u.e * u.slope - 1) / u.S - u.slope * de)
                 part = ca.sqrt(u.information)
                 results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S), np.sqrt(0.5) * part[:, 1] * dS / u.S)
@@ -140,6 +144,16 @@ class Plans:
         if double:
             return Plan(tuple(stages), ROWS, frozenset(lanes))
         return Plan(tuple(stages), ROWS, frozenset(lanes), 2 * jit.WIDTH, single=frozenset(single))
+
+    def _tangent_by_matrices(self, double: bool) -> Plan:
+        """Return the plan of `tangent` in which routines compute the derivatives of the covariance (`TangentStages`)."""
+        made = TangentStages(self.graphs, with_rounding=not double)
+        stages = [s for q, u in enumerate(self.graphs.updates) for s in made.update(q, u)]
+        stages += made.prediction(len(self.graphs.updates))
+        if double:
+            return Plan(tuple(stages), ROWS, frozenset(made.lanes))
+        single = frozenset((made.lanes | made.scalars) - {"dll", "lost"})
+        return Plan(tuple(stages), ROWS, frozenset(made.lanes), 2 * jit.WIDTH, single=single)
 
     def filter(self) -> Plan:
         """Return the plan of the kernel that returns the filter output for each row.
@@ -196,18 +210,3 @@ class Plans:
         A prediction has no ``ll``.
         """
         return {"s": u.s} if u.ll is None else {"s": u.s, "ll": u.ll}
-
-
-def _directional_derivative(g: EkfGraphs, expression: Any, ds: Any, dp: Any) -> Any:
-    """Return the directional derivative (n, 1) of an expression (n, 1).
-
-    The direction is the change ``ds`` of the filter state together with the change ``dp`` of the parameters.
-
-    Subexpressions of inputs and parameters alone are differentiated by the parameters once for all lanes. For example,
-    a delayed command has fifty copies, each with a weight that depends on two parameters.
-    """
-    data = ca.vertcat(g.u, g.u_next, g.y, g.p, g.h)
-    (rest,), symbols, parts = ca.extract_parametric([expression], data, {})
-    q, part = ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *parts)
-    moved = ca.jtimes(rest, ca.vertcat(g.s, g.p, q), ca.vertcat(ds, dp, ca.jacobian(part, g.p) @ dp))
-    return ca.substitute(moved, q, part)

@@ -12,7 +12,16 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, ProductStage
+from seatrial.ident.engine.loop_plan import (
+    AddProductsStage,
+    AddTransposedStage,
+    CombinationStage,
+    ExpressionStage,
+    GramStage,
+    LaneStage,
+    Plan,
+    ProductStage,
+)
 from seatrial.ident.numerics import Array
 
 Mask = NDArray[np.uint32]
@@ -52,6 +61,8 @@ def interpret(
                 _run_gram_stage(stage, now, groups)
             elif isinstance(stage, ProductStage):
                 _run_product_stage(stage, now)
+            elif isinstance(stage, LaneStage):
+                _run_lane_stage(stage, now)
             else:
                 _run_expression_stage(plan, stage, now, groups)
 
@@ -107,3 +118,39 @@ def _run_product_stage(stage: ProductStage, now: Mapping[str, Array]) -> None:
     """
     left = [[(1 + factor.twice) * now[factor.array][factor.entry] for factor in row] for row in stage.left]
     now[stage.result][:] = (np.array(left) @ now[stage.right].reshape(-1, stage.stride)).ravel()
+
+
+def _run_lane_stage(stage: LaneStage, now: Mapping[str, Array]) -> None:
+    """Compute a stage on matrices in lanes in one row, for all groups, and write its result among the arrays ``now``.
+
+    An array in lanes has the shape (groups, entries, width).
+    """
+    if isinstance(stage, CombinationStage):
+        _run_combination_stage(stage, now)
+    elif isinstance(stage, AddProductsStage):
+        n, a, w = stage.n, now[stage.lanes], now[stage.scalars][stage.first : stage.first + stage.n]
+        product = a[:, :, None] * w[None, None, :, None]
+        now[stage.matrix][:] += (product + product.swapaxes(1, 2)).reshape(len(a), n * n, -1)
+    elif isinstance(stage, AddTransposedStage):
+        n, matrix = stage.n, now[stage.matrix]
+        square = matrix.reshape(len(matrix), n, n, -1)
+        now[stage.result][:] = (square + square.swapaxes(1, 2)).reshape(matrix.shape)
+    else:
+        for source, target in stage.entries:
+            now[stage.target][:, target] += now[stage.source][:, source]
+
+
+def _run_combination_stage(stage: CombinationStage, now: Mapping[str, Array]) -> None:
+    """Combine rows of matrices linearly in one row of the record, for all groups, as `CombinationStage` describes it.
+
+    An array in lanes has the shape (groups, entries, width).
+    """
+    n, lanes, scalars, matrix = stage.n, now[stage.lanes], now[stage.scalars], now[stage.matrix]
+    found = np.zeros((len(lanes), len(stage.by_scalars), n, lanes.shape[2]))
+    for r, (first, second) in enumerate(zip(stage.by_lanes, stage.by_scalars, strict=True)):
+        for factor, at in first:
+            found[:, r] += lanes[:, factor, None] * scalars[None, at : at + n, None]
+        for factor, line in second:
+            found[:, r] += scalars[factor] * matrix[:, line * n : (line + 1) * n]
+    found = found.swapaxes(1, 2) if stage.transposed else found
+    now[stage.result][:] = found.reshape(len(lanes), -1, lanes.shape[2])

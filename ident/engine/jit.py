@@ -9,7 +9,7 @@ import hashlib
 import os
 import stat
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ QUICK_ROWS = 30_000
 # move values to and from the stack. A second scheduler takes a fifth of the compilation and makes the code no faster.
 # LLVM ends the process if an option is unknown; versions above 22 were not tested.
 OPTIONS = ("--pre-RA-sched=source", "--enable-misched=0") if AVAILABLE and llvm.llvm_version_info[0] <= 22 else ()
+NO_ROUTINES: Mapping[str, int] = {}
 DIGEST_BYTES = 32
 LARGEST_CACHE = 400_000_000  # bytes; above this size the least recently used files are deleted
 KEPT_SHARE = 0.7  # share of LARGEST_CACHE that remains after the deletion
@@ -152,7 +153,9 @@ def machine_code_key(ir: str, has_loops: bool = False) -> str:
     return hashlib.sha256(repr((*target(), _optimisation(has_loops), ir)).encode()).hexdigest()
 
 
-def load_machine_code(ir: str, symbol: str, has_loops: bool = False) -> tuple[Any, int]:
+def load_machine_code(
+    ir: str, symbol: str, has_loops: bool = False, routines: Mapping[str, int] = NO_ROUTINES
+) -> tuple[Any, int]:
     """Load the machine code of ``ir`` from the cache on disk. If the cache lacks it, compile and store it.
 
     Parameters
@@ -163,6 +166,8 @@ def load_machine_code(ir: str, symbol: str, has_loops: bool = False) -> tuple[An
         Name of the function of the module whose address is wanted.
     has_loops : bool
         Whether the function has inner loops and variables in memory, so that it needs more optimisation than a kernel.
+    routines : Mapping[str, int]
+        Addresses of the functions that the module declares, except those of the C library, by name.
 
     Returns
     -------
@@ -179,15 +184,17 @@ def load_machine_code(ir: str, symbol: str, has_loops: bool = False) -> tuple[An
     if not AVAILABLE:
         raise RuntimeError("llvmlite is not installed, so models cannot be compiled; pip install llvmlite")
     key = machine_code_key(ir, has_loops)
-    cached = load_cached_machine_code(key, symbol)
+    cached = load_cached_machine_code(key, symbol, routines)
     if cached is not None:
         return cached
     machine_code = _compile(ir, has_loops)
     write_cache(f"{key}.o", machine_code)
-    return _link_object_file(machine_code, key, symbol)
+    return _link_object_file(machine_code, key, symbol, routines)
 
 
-def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
+def load_cached_machine_code(
+    key: str, symbol: str, routines: Mapping[str, int] = NO_ROUTINES
+) -> tuple[Any, int] | None:
     """Load machine code from the cache on disk.
 
     Parameters
@@ -196,6 +203,8 @@ def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
         Result of `machine_code_key`.
     symbol : str
         Name of the function in the machine code whose address is wanted.
+    routines : Mapping[str, int]
+        As for `load_machine_code`.
 
     Returns
     -------
@@ -204,16 +213,19 @@ def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
         cache has no valid file with this machine code (`read_cache`), or if llvmlite is not installed.
     """
     machine_code = read_cache(f"{key}.o") if AVAILABLE else None
-    return None if machine_code is None else _link_object_file(machine_code, key, symbol)
+    return None if machine_code is None else _link_object_file(machine_code, key, symbol, routines)
 
 
-def _link_object_file(machine_code: bytes, key: str, symbol: str) -> tuple[Any, int]:
+def _link_object_file(machine_code: bytes, key: str, symbol: str, routines: Mapping[str, int]) -> tuple[Any, int]:
     """Link machine code, the content of an object file, under the name ``key``.
 
-    Return the linked library, and the address of its function ``symbol``. The address is valid as long as the library
-    is referenced. ``key`` need not be unique, because each call links separately.
+    ``routines`` are the addresses of functions that it calls, by name, except those of the C library. Return the linked
+    library, and the address of its function ``symbol``. The address is valid as long as the library is referenced.
+    ``key`` need not be unique, because each call links separately.
     """
     builder = llvm.JITLibraryBuilder().add_object_img(machine_code).add_current_process().export_symbol(symbol)
+    for name, address in routines.items():
+        builder.import_symbol(name, address)
     library = builder.link(llvm.create_lljit_compiler(_target_machine(KERNEL[1])), key)
     return library, int(library[symbol])
 

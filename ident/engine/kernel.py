@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.errors import warn
-from seatrial.ident.engine import jit
+from seatrial.ident.engine import jit, lane_routines
 from seatrial.ident.engine.array_layout import Layout
 from seatrial.ident.numerics import Array
 
@@ -157,7 +157,7 @@ class Kernel:
         Kernel or None
             None if the machine code is not in the cache, or if llvmlite is not installed.
         """
-        loaded = jit.load_cached_machine_code(code, "kernel")
+        loaded = jit.load_cached_machine_code(code, "kernel", _addresses_of(layout.routines))
         if loaded is None:
             return None
         self = cls.__new__(cls)
@@ -347,9 +347,11 @@ class Kernel:
         """
         from seatrial.ident.engine.llvm_emitter import LlvmEmitter
 
-        ir = LlvmEmitter(self.plan).ir()
+        emitter = LlvmEmitter(self.plan)
+        ir = emitter.ir()
         self.code = jit.machine_code_key(ir)
-        return self._loop_at_address(*jit.load_machine_code(ir, "kernel"))
+        self.layout = replace(self.layout, routines=tuple(sorted(emitter.routines)))
+        return self._loop_at_address(*jit.load_machine_code(ir, "kernel", routines=_addresses_of(self.layout.routines)))
 
     def _loop_at_address(self, library: Any, address: int) -> Loop:
         """Return a function that runs the machine code at the address ``address`` over the rows of a record.
@@ -386,3 +388,8 @@ class Kernel:
 
         plan = self.plan
         return lambda n_rows, groups, mask, arrays, per_row: interpret(plan, n_rows, groups, mask, arrays, per_row)
+
+
+def _addresses_of(routines: Sequence[str]) -> dict[str, int]:
+    """Return the addresses of routines by name. Those that are not in memory yet are compiled or loaded."""
+    return {name: lane_routines.address_of(name) for name in routines}

@@ -233,7 +233,8 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
         return None
     table = json.loads(content)
     sets = {field: frozenset(table[field]) for field in ("rows", "lanes", "carried", "grams", "single")}
-    layout = Layout(sizes=table["sizes"], summed=tuple(table["summed"]), width=table["width"], **sets)
+    lists = {field: tuple(table[field]) for field in ("summed", "routines")}
+    layout = Layout(sizes=table["sizes"], width=table["width"], **lists, **sets)
     return layout, str(table["code"])
 
 

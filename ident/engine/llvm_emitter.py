@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from seatrial.ident.engine import lane_routines
 from seatrial.ident.engine.expressions import evaluate_instructions
 from seatrial.ident.engine.llvm_operations import (
     COMPARISONS,
@@ -30,7 +31,18 @@ from seatrial.ident.engine.llvm_operations import (
     TEMPLATES,
     rewritten,
 )
-from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, ProductStage
+from seatrial.ident.engine.loop_plan import (
+    AddEntriesStage,
+    AddProductsStage,
+    AddTransposedStage,
+    CombinationStage,
+    ExpressionStage,
+    GramStage,
+    LaneStage,
+    Plan,
+    ProductStage,
+    Stage,
+)
 
 FRAME = '"frame-pointer"="all"'  # function attribute with which LLVM can align the stack for spilled vectors
 
@@ -101,7 +113,9 @@ class LlvmEmitter:
     function_lines : list[str]
         Lines of the functions that the loop calls.
     declarations : set[str]
-        Declarations of the functions of the C library that are called.
+        Declarations of the functions of the C library, and of the routines, that are called.
+    routines : set[str]
+        Names of the routines (`lane_routines`) that are called. The machine code is linked with them.
     values_by_instruction : dict[Any, Value]
         Result of each instruction that was written. Equal instructions are written once: if they are constant, once in
         the module, otherwise once in a stage; loads and addresses once in a basic block.
@@ -142,6 +156,7 @@ class LlvmEmitter:
         self.loop_lines: list[str] = []
         self.function_lines: list[str] = []
         self.declarations: set[str] = set()
+        self.routines: set[str] = set()
         self.values_by_instruction: dict[Any, Value] = {}
         self.entry_of_value: dict[str, tuple[str, int, int]] = {}
         self.loaded_values: dict[tuple[str, int, int, str], Value] = {}
@@ -208,11 +223,13 @@ class LlvmEmitter:
     def _in_memory(self, name: str) -> bool:
         """Return whether the array ``name``, which passes from row to row, stays in memory instead of registers.
 
-        It does if it has lanes (vectors of numbers), if a stage that is a separate function uses it, or if it is the
-        right matrix or the result of a matrix product.
+        It does if it has lanes (vectors of numbers), if a stage that is a separate function or calls a routine uses it,
+        or if it is the right matrix or the result of a matrix product.
         """
         for stage in self.plan.stages:
             if isinstance(stage, ProductStage) and name in (stage.right, stage.result):
+                return True
+            if isinstance(stage, (CombinationStage, AddProductsStage)) and name == stage.scalars:
                 return True
             if isinstance(stage, ExpressionStage):
                 names = {*stage.function.name_in(), *stage.function.name_out()}
@@ -239,7 +256,7 @@ class LlvmEmitter:
 
     # Stages
 
-    def _write_stage(self, stage: ExpressionStage | GramStage | ProductStage) -> None:
+    def _write_stage(self, stage: Stage) -> None:
         """Write the IR of one stage (step in each row), with a branch that skips it if its bit of the mask is 0.
 
         A stage whose ``bit`` is None has no such branch: it runs in every row.
@@ -260,6 +277,8 @@ class LlvmEmitter:
         elif isinstance(stage, ProductStage):
             self._write_product(stage)
             self._append_lines(f"br label %end{q}")
+        elif isinstance(stage, LaneStage):
+            self._write_lane_stage(stage)
         elif self.plan.lanes.isdisjoint([*stage.function.name_in(), *stage.function.name_out()]):
             self._write_instructions(stage)
             self._append_lines(f"br label %end{q}")
@@ -426,6 +445,66 @@ class LlvmEmitter:
             "ret void",
             "}",
         ]
+
+    def _write_lane_stage(self, stage: LaneStage) -> None:
+        """Write a stage on matrices in lanes for each group of lanes: the call of a routine, or additions of entries."""
+        q, body = self.stage_index, list[str]()
+
+        def address(name: str, first: int = 0) -> str:
+            """Append the computation of the address of an array to the body, and return the name of the pointer.
+
+            It is that of the array's part in the group if the array is in lanes, else of its entry ``first``.
+            """
+            pointer = f"%{name}.{q}"
+            if name in self.plan.lanes:
+                body.append(f"{pointer}.first = mul i64 %g{q}, {self.plan.sizes[name]}")
+            body.append(
+                f"{pointer} = getelementptr {self._array_type(name)}, ptr %{name}, i64 "
+                + (f"{pointer}.first" if name in self.plan.lanes else str(first))
+            )
+            return f"ptr {pointer}"
+
+        if isinstance(stage, AddEntriesStage):
+            source, target = address(stage.source), address(stage.target)
+            kind, align = self._array_type(stage.source), self._alignment(stage.source)
+            for k, (i, j) in enumerate(stage.entries):
+                a, b = f"%a{q}.{k}", f"%b{q}.{k}"
+                body += [
+                    f"{a}.p = getelementptr {kind}, {source}, i64 {i}",
+                    f"{a} = load {kind}, ptr {a}.p, align {align}",
+                    f"{b}.p = getelementptr {kind}, {target}, i64 {j}",
+                    f"{b} = load {kind}, ptr {b}.p, align {align}",
+                    f"{b}.sum = fadd {FAST} {kind} {a}, {b}",
+                    f"store {kind} {b}.sum, ptr {b}.p, align {align}",
+                ]
+        else:
+            if isinstance(stage, CombinationStage):
+                routine = lane_routines.COMBINE
+                table = [
+                    number
+                    for first, second in zip(stage.by_lanes, stage.by_scalars, strict=True)
+                    for number in (len(first), len(second), *sum((*first, *second), ()))
+                ]
+                content = ", ".join(f"i32 {number}" for number in table)
+                self.function_lines.append(f"@table{q} = internal constant [{len(table)} x i32] [{content}]")
+                by_row, by_entry = stage.steps
+                arguments = [
+                    *map(address, (stage.lanes, stage.scalars, stage.matrix, stage.result)),
+                    f"i64 {by_row}", f"i64 {by_entry}", f"ptr @table{q}", f"i64 {len(stage.by_scalars)}",
+                ]  # fmt: skip
+            elif isinstance(stage, AddProductsStage):
+                routine = lane_routines.ADD_PRODUCTS
+                arguments = [address(stage.matrix), address(stage.lanes), address(stage.scalars, stage.first)]
+            else:
+                assert isinstance(stage, AddTransposedStage)
+                routine = lane_routines.ADD_TRANSPOSED
+                arguments = [address(stage.result), address(stage.matrix)]
+            number = self._number_of(stage.matrix)
+            name = lane_routines.routine_name(routine, stage.n, self.plan.width, number)
+            self.declarations.add(lane_routines.declaration(routine, name))
+            self.routines.add(name)
+            body.append(f"call void @{name}({', '.join(arguments)})")
+        self._write_group_loop(f"do{q}", f"g{q}", "0", body, f"end{q}")
 
     def _write_product(self, stage: ProductStage) -> None:
         """Write the IR of a stage that is a matrix product.

@@ -121,12 +121,148 @@ class ProductStage:
 
 
 @dataclass(frozen=True)
+class CombinationStage:
+    """Stage of a plan that combines rows of matrices linearly in each group of lanes.
+
+    Row r of the result is the sum of two kinds of terms: an entry of ``lanes`` times a row of numbers of ``scalars``,
+    and a number of ``scalars`` times a row of ``matrix``. Products with matrices that have few nonzero entries, some of
+    them in lanes, consist of such terms.
+
+    Attributes
+    ----------
+    lanes : str
+        Name of an array in lanes: the factors of the first kind of terms.
+    scalars : str
+        Name of an array without lanes: rows of the first kind of terms, and factors of the second kind.
+    matrix : str
+        Name of the array in lanes of a matrix (n_lines, n), by matrix rows.
+    result : str
+        Name of the array in lanes of the result.
+    n : int
+        Number of columns.
+    by_lanes : tuple[tuple[tuple[int, int], ...], ...]
+        For each row of the result, the terms of the first kind: index in ``lanes``, and index in ``scalars`` of the
+        first of n numbers.
+    by_scalars : tuple[tuple[tuple[int, int], ...], ...]
+        For each row of the result, the terms of the second kind: index in ``scalars``, and number of the row of
+        ``matrix``.
+    transposed : bool
+        Whether row r of the result is written to column r of its array instead of its row r.
+    bit : int or None
+        The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
+    """
+
+    lanes: str
+    scalars: str
+    matrix: str
+    result: str
+    n: int
+    by_lanes: tuple[tuple[tuple[int, int], ...], ...]
+    by_scalars: tuple[tuple[tuple[int, int], ...], ...]
+    transposed: bool = False
+    bit: int | None = None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Number of entries of the matrix and of the result, by name of the array."""
+        lines = 1 + max((line for terms in self.by_scalars for _, line in terms), default=-1)
+        return {self.matrix: lines * self.n, self.result: len(self.by_scalars) * self.n}
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """Distance in the array of the result from a row of the result to the next, and from an entry to the next."""
+        return (1, len(self.by_scalars)) if self.transposed else (self.n, 1)
+
+
+@dataclass(frozen=True)
+class AddProductsStage:
+    """Stage of a plan that adds ``a w' + w a'`` to a symmetric matrix in each group of lanes.
+
+    Attributes
+    ----------
+    lanes : str
+        Name of the array in lanes of the vector a (n,).
+    scalars : str
+        Name of the array without lanes that has the vector w (n,).
+    first : int
+        Index of the first entry of w in ``scalars``.
+    matrix : str
+        Name of the array in lanes of the matrix (n, n), which is changed.
+    n : int
+        Number of rows of the matrix.
+    bit : int or None
+        The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
+    """
+
+    lanes: str
+    scalars: str
+    first: int
+    matrix: str
+    n: int
+    bit: int | None = None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Number of entries of the matrix, by name of its array."""
+        return {self.matrix: self.n * self.n}
+
+
+@dataclass(frozen=True)
+class AddTransposedStage:
+    """Stage of a plan that computes the sum of a matrix (n, n) and its transpose in each group of lanes.
+
+    Attributes
+    ----------
+    matrix, result : str
+        Names of the arrays in lanes of the matrix and of the sum.
+    n : int
+        Number of rows of the matrix.
+    bit : int or None
+        The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
+    """
+
+    matrix: str
+    result: str
+    n: int
+    bit: int | None = None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Number of entries of both matrices, by name of the array."""
+        return {self.matrix: self.n * self.n, self.result: self.n * self.n}
+
+
+@dataclass(frozen=True)
+class AddEntriesStage:
+    """Stage of a plan that adds entries of an array to entries of another one in each group of lanes.
+
+    Attributes
+    ----------
+    source, target : str
+        Names of the arrays in lanes. ``target`` is changed.
+    entries : tuple[tuple[int, int], ...]
+        Index in ``source`` and index in ``target`` of each addition.
+    bit : int or None
+        The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
+    """
+
+    source: str
+    target: str
+    entries: tuple[tuple[int, int], ...]
+    bit: int | None = None
+
+
+LaneStage = CombinationStage | AddProductsStage | AddTransposedStage | AddEntriesStage
+Stage = ExpressionStage | GramStage | ProductStage | LaneStage
+
+
+@dataclass(frozen=True)
 class Plan:
     """Plan of a kernel before compilation: a loop over the rows of a record, with a list of stages as its body.
 
     Attributes
     ----------
-    stages : tuple[ExpressionStage | GramStage | ProductStage, ...]
+    stages : tuple[Stage, ...]
         Steps of the computation in each row, in the order in which they run.
     rows : frozenset[str]
         Names of the arrays with separate entries for each row, such as the inputs.
@@ -142,7 +278,7 @@ class Plan:
         Its summed results are nevertheless added in double precision.
     """
 
-    stages: tuple[ExpressionStage | GramStage | ProductStage, ...]
+    stages: tuple[Stage, ...]
     rows: frozenset[str] = frozenset()
     lanes: frozenset[str] = frozenset()
     width: int = jit.WIDTH
@@ -165,6 +301,8 @@ class Plan:
                 sizes[part.result] = self.width
             elif isinstance(part, ProductStage):
                 sizes |= {part.right: len(part.left[0]) * part.stride, part.result: len(part.left) * part.stride}
+            elif isinstance(part, (CombinationStage, AddProductsStage, AddTransposedStage)):
+                sizes |= {name: max(size, sizes.get(name, 0)) for name, size in part.sizes.items()}
         return sizes
 
     @cached_property
@@ -177,6 +315,19 @@ class Plan:
         arguments |= {s.source for s in self.stages if isinstance(s, GramStage)}
         results = {name for f in self.functions for name in f.name_out()}
         results |= {s.result for s in self.stages if isinstance(s, ProductStage)}
+        for part in self.stages:
+            if isinstance(part, CombinationStage):
+                arguments |= {part.lanes, part.scalars, part.matrix}
+                results.add(part.result)
+            elif isinstance(part, AddProductsStage):
+                arguments |= {part.lanes, part.scalars, part.matrix}
+                results.add(part.matrix)
+            elif isinstance(part, AddTransposedStage):
+                arguments.add(part.matrix)
+                results.add(part.result)
+            elif isinstance(part, AddEntriesStage):
+                arguments |= {part.source, part.target}
+                results.add(part.target)
         return frozenset(arguments & results) - self.rows
 
     @cached_property

@@ -19,7 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import Record
-from seatrial.ident.engine import ArenaPool, FilterKernels, filter_kernels_for
+from seatrial.ident.engine import (
+    DERIVATIVE_OF_COVARIANCE,
+    DERIVATIVE_OF_MEAN,
+    ArenaPool,
+    FilterKernels,
+    filter_kernels_for,
+)
 from seatrial.ident.estimation.model_kernels import ModelKernels, kernel_inputs, model_kernels
 from seatrial.ident.estimation.prepared_record import InitialCondition, Prepared, Preparer, initial_condition
 from seatrial.ident.model import LIKELY, Model, robust_weight
@@ -325,15 +331,20 @@ class Likelihood:
         groups, width, n = kernel.groups(len(free)), kernel.layout.width, len(free)
         lane_of = {parameter: lane for lane, parameter in enumerate(chosen)}
         with self._arenas.borrow() as arena:
-            ds = arena.take("ds", (groups, start.s.size, width), dtype=kernel.layout.dtype("ds"))
+            names = kernel.layout.carried & {"ds", DERIVATIVE_OF_MEAN, DERIVATIVE_OF_COVARIANCE}
+            moved = {
+                name: arena.take(name, kernel.layout.shape(name, data.n_rows, groups), dtype=kernel.layout.dtype(name))
+                for name in names
+            }
             for entry, parameter, slope in start.tangent:
                 if parameter in lane_of:
                     lane = lane_of[parameter]
-                    ds[lane // width, entry, lane % width] += slope
+                    for name, at in _places(entry, len(self.model.states), DERIVATIVE_OF_COVARIANCE in names):
+                        moved[name][lane // width, at, lane % width] += slope
             arrays = {
                 **common.arrays(kernel, data, values),
                 "s": start.s.copy(),
-                "ds": ds,
+                **moved,
                 "dp": kernel.seeds(common.without.size, common.place[chosen].tolist(), groups),
             }
             done = kernel(
@@ -488,6 +499,31 @@ def _row_pieces(n_rows: int) -> list[slice]:
     """
     size = n_rows if n_rows <= WHOLE else PIECE
     return [slice(first, min(first + size, n_rows)) for first in range(0, n_rows, size)]
+
+
+def _places(entry: int, n: int, by_matrices: bool) -> list[tuple[str, int]]:
+    """Return where the kernel of sensitivities stores the derivative of an entry of the filter state.
+
+    Parameters
+    ----------
+    entry
+        Index in the filter state: of the mean, or of the upper triangle of the covariance after it.
+    n
+        Number of states of the model.
+    by_matrices
+        Whether the kernel has arrays of the mean and of the whole covariance. Otherwise it has one of the filter state.
+
+    Returns
+    -------
+    list[tuple[str, int]]
+        Name of the array and index in it: two of them for an entry of the covariance that is not on its diagonal.
+    """
+    if not by_matrices:
+        return [("ds", entry)]
+    if entry < n:
+        return [(DERIVATIVE_OF_MEAN, entry)]
+    i, j = (int(index[entry - n]) for index in np.triu_indices(n))
+    return [(DERIVATIVE_OF_COVARIANCE, k) for k in {i * n + j, j * n + i}]
 
 
 def _symmetric_from_blocks(blocks: Array) -> Array:

@@ -1,0 +1,259 @@
+"""Routines on matrices in lanes that the machine code of kernels calls: each is compiled once, for all models.
+
+A lane is one element of the processor's vector registers; it holds, for example, the derivative by one parameter. A
+matrix in lanes has a vector of numbers for each entry. The derivatives of a filter's covariance are such matrices, and
+most of the work of forward sensitivities is on them. The routines depend on the number of states and on the type of the
+numbers, and not on the model. A kernel that calls them has fewer instructions, so that it is compiled sooner.
+"""
+
+from __future__ import annotations
+
+import threading
+from functools import cache
+from typing import Any
+
+from seatrial.ident.engine import jit
+
+FLAGS = "contract"  # a product and a sum may become one instruction
+# Entries of a row of a matrix that are kept in registers at the same time; the processor has 32 or 16 registers
+ROW_ENTRIES = 24 if jit.WIDTH == 8 else 12
+COMBINE, ADD_PRODUCTS, ADD_TRANSPOSED = "combine", "add_products", "add_transposed"
+_lock = threading.Lock()
+
+
+def routine_name(kind: str, n: int, width: int, number: str) -> str:
+    """Return the name of a routine in machine code.
+
+    Parameters
+    ----------
+    kind : str
+        ``combine``, ``add_products`` or ``add_transposed``.
+    n : int
+        Number of columns of the matrices.
+    width : int
+        Number of lanes, the numbers in a vector.
+    number : str
+        LLVM's type of the numbers: ``float`` or ``double``.
+    """
+    return f"{kind}_{n}_{width}_{number}"
+
+
+def declaration(kind: str, name: str) -> str:
+    """Return the line of LLVM IR that declares a routine, which is of the kind ``kind`` and has the name ``name``."""
+    return f"declare void @{name}({', '.join(argument.split()[0] for argument in _ARGUMENTS[kind])})"
+
+
+@cache
+def _compiled(name: str) -> tuple[Any, int]:
+    """Compile a routine, or load it from the cache on disk, once per process; return its library and its address."""
+    kind, n, width, number = name.rsplit("_", 3)
+    return jit.load_machine_code(_WRITERS[kind](name, int(n), int(width), number), name, has_loops=True)
+
+
+def address_of(name: str) -> int:
+    """Return the address of a routine, which is compiled at the first call. ``name`` is that of `routine_name`.
+
+    The routine stays in memory until the process ends.
+    """
+    with _lock:
+        return _compiled(name)[1]
+
+
+_ARGUMENTS = {
+    COMBINE: (
+        "ptr %lanes", "ptr %scalars", "ptr %matrix", "ptr %result", "i64 %row.step", "i64 %entry.step", "ptr %table",
+        "i64 %rows",
+    ),
+    ADD_PRODUCTS: ("ptr %matrix", "ptr %lanes", "ptr %scalars"),
+    ADD_TRANSPOSED: ("ptr %result", "ptr %matrix"),
+}  # fmt: skip
+
+
+def _definition(kind: str, name: str, lines: list[str]) -> str:
+    """Return the text of a module that defines one routine with these lines of IR, the first of which is a label."""
+    arguments = ", ".join(a.replace("ptr ", "ptr noalias ") for a in _ARGUMENTS[kind])
+    return "\n".join([f"define void @{name}({arguments}) {{", *lines, "ret void", "}", ""])
+
+
+def _repeated(name: str, scalar: str, vector: str, width: int, number: str) -> list[str]:
+    """Return lines of IR that repeat the scalar ``scalar`` in all elements of a vector with the name ``name``."""
+    return [
+        f"{name}.0 = insertelement {vector} poison, {number} {scalar}, i32 0",
+        f"{name} = shufflevector {vector} {name}.0, {vector} poison, <{width} x i32> zeroinitializer",
+    ]
+
+
+def _product_added(name: str, vector: str, a: str, b: str, to: str) -> list[str]:
+    """Return lines of IR that compute ``name = a b + to``, all of them vectors."""
+    return [f"{name}.m = fmul {FLAGS} {vector} {a}, {b}", f"{name} = fadd {FLAGS} {vector} {to}, {name}.m"]
+
+
+def _combine_ir(name: str, n: int, width: int, number: str) -> str:
+    """Return the IR of the routine that combines rows of matrices linearly.
+
+    Row r of the result is the sum of numbers in lanes times rows of scalars, and of scalars times rows of ``matrix``,
+    which is in lanes. For each row of the result ``table`` has the numbers of terms of both kinds, then the terms of
+    the first kind, then those of the second kind. A term of the first kind has the index in ``lanes`` and the index in
+    ``scalars`` of the row's first entry. A term of the second kind has the index in ``scalars`` and the number of the
+    row of ``matrix``. Entry j of row r of the result is written to the entry ``r row.step + j entry.step``.
+    """
+    vector, align = f"<{width} x {number}>", 4 if number == "float" else 8
+    lines = [
+        "entry:",
+        "br label %row",
+        "row:",
+        "%r = phi i64 [0, %entry], [%r.next, %row.end]",
+        "%t = phi i64 [0, %entry], [%t.next, %row.end]",
+        "%n1.p = getelementptr i32, ptr %table, i64 %t",
+        "%n1.0 = load i32, ptr %n1.p, align 4",
+        "%n1 = zext i32 %n1.0 to i64",
+        "%n2.p = getelementptr i32, ptr %n1.p, i64 1",
+        "%n2.0 = load i32, ptr %n2.p, align 4",
+        "%n2 = zext i32 %n2.0 to i64",
+        "%first = add i64 %t, 2",
+        "%size1 = shl i64 %n1, 1",
+        "%middle = add i64 %first, %size1",
+        "%size2 = shl i64 %n2, 1",
+        "%t.next = add i64 %middle, %size2",
+        "%to = mul i64 %r, %row.step",
+    ]
+    before = "row"
+    for start in range(0, n, ROW_ENTRIES):
+        entries, b = range(start, min(start + ROW_ENTRIES, n)), f"{start}"
+        lines += [f"br label %head1.{b}", f"head1.{b}:"]
+        lines.append(f"%i.{b} = phi i64 [%first, %{before}], [%i.next.{b}, %body1.{b}]")
+        lines += [f"%x{j} = phi {vector} [zeroinitializer, %{before}], [%x{j}.1, %body1.{b}]" for j in entries]
+        lines += [
+            f"%more1.{b} = icmp slt i64 %i.{b}, %middle",
+            f"br i1 %more1.{b}, label %body1.{b}, label %head2.{b}",
+            f"body1.{b}:",
+            *_term_indices("i", b),
+            f"%lane.{b}.p = getelementptr {vector}, ptr %lanes, i64 %i.{b}.a",
+            f"%lane.{b} = load {vector}, ptr %lane.{b}.p, align {align}",
+            f"%line.{b} = getelementptr {number}, ptr %scalars, i64 %i.{b}.b",
+        ]
+        for j in entries:
+            lines += [
+                f"%s{j}.p = getelementptr {number}, ptr %line.{b}, i64 {j}",
+                f"%s{j} = load {number}, ptr %s{j}.p, align {align}",
+                *_repeated(f"%v{j}", f"%s{j}", vector, width, number),
+                *_product_added(f"%x{j}.1", vector, f"%lane.{b}", f"%v{j}", f"%x{j}"),
+            ]
+        lines += [f"br label %head1.{b}", f"head2.{b}:"]
+        lines.append(f"%k.{b} = phi i64 [%middle, %head1.{b}], [%k.next.{b}, %body2.{b}]")
+        lines += [f"%y{j} = phi {vector} [%x{j}, %head1.{b}], [%y{j}.1, %body2.{b}]" for j in entries]
+        lines += [
+            f"%more2.{b} = icmp slt i64 %k.{b}, %t.next",
+            f"br i1 %more2.{b}, label %body2.{b}, label %done.{b}",
+            f"body2.{b}:",
+            *_term_indices("k", b),
+            f"%scalar.{b}.p = getelementptr {number}, ptr %scalars, i64 %k.{b}.a",
+            f"%scalar.{b}.1 = load {number}, ptr %scalar.{b}.p, align {align}",
+            *_repeated(f"%scalar.{b}", f"%scalar.{b}.1", vector, width, number),
+            f"%at.{b} = mul i64 %k.{b}.b, {n}",
+            f"%from.{b} = getelementptr {vector}, ptr %matrix, i64 %at.{b}",
+        ]
+        for j in entries:
+            lines += [
+                f"%d{j}.p = getelementptr {vector}, ptr %from.{b}, i64 {j}",
+                f"%d{j} = load {vector}, ptr %d{j}.p, align {align}",
+                *_product_added(f"%y{j}.1", vector, f"%scalar.{b}", f"%d{j}", f"%y{j}"),
+            ]
+        lines += [f"br label %head2.{b}", f"done.{b}:"]
+        for j in entries:
+            lines += [
+                f"%o{j}.0 = mul i64 %entry.step, {j}",
+                f"%o{j}.1 = add i64 %o{j}.0, %to",
+                f"%o{j} = getelementptr {vector}, ptr %result, i64 %o{j}.1",
+                f"store {vector} %y{j}, ptr %o{j}, align {align}",
+            ]
+        before = f"done.{b}"
+    lines += [
+        "br label %row.end",
+        "row.end:",
+        "%r.next = add i64 %r, 1",
+        "%more = icmp slt i64 %r.next, %rows",
+        "br i1 %more, label %row, label %exit",
+        "exit:",
+    ]
+    return _definition(COMBINE, name, lines)
+
+
+def _term_indices(index: str, block: str) -> list[str]:
+    """Return lines of IR that load both indices of a term from the table, and advance the index of the loop."""
+    i = f"%{index}.{block}"
+    return [
+        f"{i}.p = getelementptr i32, ptr %table, i64 {i}",
+        f"{i}.a0 = load i32, ptr {i}.p, align 4",
+        f"{i}.a = zext i32 {i}.a0 to i64",
+        f"{i}.q = getelementptr i32, ptr {i}.p, i64 1",
+        f"{i}.b0 = load i32, ptr {i}.q, align 4",
+        f"{i}.b = zext i32 {i}.b0 to i64",
+        f"%{index}.next.{block} = add i64 {i}, 2",
+    ]
+
+
+def _add_products_ir(name: str, n: int, width: int, number: str) -> str:
+    """Return the IR of the routine that adds ``a w' + w a'`` to a symmetric matrix (n, n) in lanes.
+
+    The vector a is in ``lanes``, and w in ``scalars``.
+    """
+    vector, align = f"<{width} x {number}>", 4 if number == "float" else 8
+    lines = [
+        "entry:",
+        "br label %row",
+        "row:",
+        "%i = phi i64 [0, %entry], [%i.next, %row]",
+        f"%ai.p = getelementptr {vector}, ptr %lanes, i64 %i",
+        f"%ai = load {vector}, ptr %ai.p, align {align}",
+        f"%wi.p = getelementptr {number}, ptr %scalars, i64 %i",
+        f"%wi.1 = load {number}, ptr %wi.p, align {align}",
+        *_repeated("%wi", "%wi.1", vector, width, number),
+        f"%at = mul i64 %i, {n}",
+        f"%line = getelementptr {vector}, ptr %matrix, i64 %at",
+    ]
+    for j in range(n):
+        lines += [
+            f"%d{j}.p = getelementptr {vector}, ptr %line, i64 {j}",
+            f"%d{j} = load {vector}, ptr %d{j}.p, align {align}",
+            f"%w{j}.p = getelementptr {number}, ptr %scalars, i64 {j}",
+            f"%w{j}.1 = load {number}, ptr %w{j}.p, align {align}",
+            *_repeated(f"%w{j}", f"%w{j}.1", vector, width, number),
+            f"%a{j}.p = getelementptr {vector}, ptr %lanes, i64 {j}",
+            f"%a{j} = load {vector}, ptr %a{j}.p, align {align}",
+            *_product_added(f"%x{j}", vector, "%ai", f"%w{j}", f"%d{j}"),
+            *_product_added(f"%y{j}", vector, f"%a{j}", "%wi", f"%x{j}"),
+            f"store {vector} %y{j}, ptr %d{j}.p, align {align}",
+        ]
+    lines += ["%i.next = add i64 %i, 1", f"%more = icmp slt i64 %i.next, {n}", "br i1 %more, label %row, label %exit"]
+    return _definition(ADD_PRODUCTS, name, [*lines, "exit:"])
+
+
+def _add_transposed_ir(name: str, n: int, width: int, number: str) -> str:
+    """Return the IR of the routine that computes the sum of a matrix (n, n) in lanes and of its transpose."""
+    vector, align = f"<{width} x {number}>", 4 if number == "float" else 8
+    lines = [
+        "entry:",
+        "br label %row",
+        "row:",
+        "%i = phi i64 [0, %entry], [%i.next, %row]",
+        f"%at = mul i64 %i, {n}",
+        f"%line = getelementptr {vector}, ptr %matrix, i64 %at",
+        f"%column = getelementptr {vector}, ptr %matrix, i64 %i",
+        f"%to = getelementptr {vector}, ptr %result, i64 %at",
+    ]
+    for j in range(n):
+        lines += [
+            f"%a{j}.p = getelementptr {vector}, ptr %line, i64 {j}",
+            f"%a{j} = load {vector}, ptr %a{j}.p, align {align}",
+            f"%b{j}.p = getelementptr {vector}, ptr %column, i64 {j * n}",
+            f"%b{j} = load {vector}, ptr %b{j}.p, align {align}",
+            f"%s{j} = fadd {FLAGS} {vector} %a{j}, %b{j}",
+            f"%o{j}.p = getelementptr {vector}, ptr %to, i64 {j}",
+            f"store {vector} %s{j}, ptr %o{j}.p, align {align}",
+        ]
+    lines += ["%i.next = add i64 %i, 1", f"%more = icmp slt i64 %i.next, {n}", "br i1 %more, label %row, label %exit"]
+    return _definition(ADD_TRANSPOSED, name, [*lines, "exit:"])
+
+
+_WRITERS = {COMBINE: _combine_ir, ADD_PRODUCTS: _add_products_ir, ADD_TRANSPOSED: _add_transposed_ir}
