@@ -1,5 +1,3 @@
-from .array_layout import DERIVATIVE_OF_COVARIANCE as DERIVATIVE_OF_COVARIANCE
-from .array_layout import DERIVATIVE_OF_MEAN as DERIVATIVE_OF_MEAN
 from .batched_experiments import batch_for as batch_for
 from .batched_experiments import discrimination_batch_for as discrimination_batch_for
 from .batched_experiments import extremes as extremes

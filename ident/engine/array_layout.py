@@ -11,10 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from seatrial.ident.numerics import Array
+
 # Names of the data arrays in the graphs: inputs at both ends of the interval, outputs, and length of the interval
 ROWS = frozenset({"u", "u_next", "y", "h"})
-# Names of the arrays of the derivatives of the filter's mean (n,) and covariance (n, n) by the parameters, in lanes
-DERIVATIVE_OF_MEAN, DERIVATIVE_OF_COVARIANCE = "dm", "dP"
+# Names of the arrays of the filter's mean (n,) and covariance (n, stride), and of their derivatives by the parameters,
+# (n,) and (n, n) in lanes, in kernels that have the covariance as a matrix
+MEAN, COVARIANCE, DERIVATIVE_OF_MEAN, DERIVATIVE_OF_COVARIANCE = "m", "P", "dm", "dP"
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Layout:
     single : frozenset[str]
         Names of the arrays in single precision. All others are in double precision.
     routines : tuple[str, ...]
-        Names of the routines (`lane_routines`) that the machine code calls.
+        Names of the routines (`matrix_routines`) that the machine code calls.
     """
 
     sizes: Mapping[str, int]
@@ -60,6 +63,41 @@ class Layout:
     def dtype(self, name: str) -> type[np.floating]:
         """Return the type of the numbers of the array ``name``: float32 for an array of `single`, otherwise float64."""
         return np.float32 if name in self.single else np.float64
+
+    def state_arrays(self, s: Array) -> dict[str, Array]:
+        """Return the arrays by name that hold a filter state at the start of a run; they are new.
+
+        Parameters
+        ----------
+        s : Array (n_s,)
+            Filter state: the mean, and the upper triangle of the covariance by matrix rows.
+        """
+        if COVARIANCE not in self.sizes:
+            return {"s": np.array(s, dtype=np.float64)}
+        n = self.sizes[MEAN]
+        P = np.zeros((n, self.sizes[COVARIANCE] // n))
+        i, j = np.triu_indices(n)
+        P[i, j] = P[j, i] = s[n:]
+        return {MEAN: np.array(s[:n], dtype=np.float64), COVARIANCE: P.ravel()}
+
+    @property
+    def derivative_arrays(self) -> tuple[str, ...]:
+        """Names of the arrays, in lanes, of the derivatives of the filter state in a kernel of sensitivities."""
+        return tuple(name for name in ("ds", DERIVATIVE_OF_MEAN, DERIVATIVE_OF_COVARIANCE) if name in self.sizes)
+
+    def derivative_entries(self, entry: int) -> list[tuple[str, int]]:
+        """Return where a kernel of sensitivities holds the derivative of an entry of the filter state.
+
+        They are pairs (name of the array, index in it): two pairs for an entry of the covariance off its diagonal, if
+        the kernel has the covariance as a matrix. ``entry`` is the index in the filter state, as in `state_arrays`.
+        """
+        if DERIVATIVE_OF_COVARIANCE not in self.sizes:
+            return [("ds", entry)]
+        n = self.sizes[DERIVATIVE_OF_MEAN]
+        if entry < n:
+            return [(DERIVATIVE_OF_MEAN, entry)]
+        i, j = (int(index[entry - n]) for index in np.triu_indices(n))
+        return [(DERIVATIVE_OF_COVARIANCE, k) for k in sorted({i * n + j, j * n + i})]
 
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
         """Return the shape of an array of the kernel for a given number of rows and lanes.

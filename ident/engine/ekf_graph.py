@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from seatrial.ident.engine.expressions import simplified
 from seatrial.ident.engine.kernel import MAX_BITS
-from seatrial.ident.model import Model, Output, Sensor, outlier_density
+from seatrial.ident.model import Model, Output, outlier_density
 
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 
@@ -229,6 +229,11 @@ class EkfGraphs:
         return hashlib.sha256(repr(content).encode()).hexdigest()
 
     @property
+    def has_matrix_form(self) -> bool:
+        """Whether the kernels of the filter have the covariance as a matrix, with stages of `filter_stages`."""
+        return self.covariance and not self.joseph and not self.model.second_order
+
+    @property
     def mean(self) -> Any:
         """Mean of the model states (n, 1): the first n symbols of the filter state ``s``."""
         return self.s[: self.n]
@@ -354,38 +359,36 @@ class EkfGraphs:
 
         Each update starts from the symbols of the filter state ``s``.
         """
+        return tuple(self._sensor_update(samples) for samples in self.samples)
+
+    @cached_property
+    def samples(self) -> tuple[tuple[Sample, ...], ...]:
+        """Scalar measurements of each sensor, in the order of ``model.sensors``."""
         z = self.output(self.mean, self.u, self.p)
         H = ca.jacobian(z, self.mean) if self.covariance else None
-        result, first = [], 0
-        for sensor in self.model.sensors:
-            rows = slice(first, first + len(sensor.outputs))
-            result.append(self._sensor_update(sensor, self.y[rows], z[rows], None if H is None else H[rows, :]))
-            first = rows.stop
-        return tuple(result)
+        numbers = iter(range(z.numel()))
+        return tuple(
+            tuple(
+                Sample(
+                    output, self.y[i] - z[i], None if H is None else H[i, :], self.parameter_symbol(output.noise) ** 2
+                )
+                for output, i in zip(sensor.outputs, numbers, strict=False)
+            )
+            for sensor in self.model.sensors
+        )
 
-    def _sensor_update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
-        """Return the expressions of the filter's update by the sample of one sensor.
+    def _sensor_update(self, samples: Sequence[Sample]) -> Update:
+        """Return the expressions of the filter's update by the sample of one sensor, a scalar for each of its outputs.
 
-        The outputs are applied one after the other, which is exact for independent noises. No matrix is inverted.
-
-        Parameters
-        ----------
-        sensor : Sensor
-            Sensor that is sampled.
-        y, z : SX (n_outputs, 1)
-            Measured and predicted values of the outputs of this sensor.
-        H : SX (n_outputs, n) or None
-            Derivatives of the predicted values by the model states; None without a covariance.
+        The scalars are applied one after the other, which is exact for independent noises. No matrix is inverted.
         """
         dx, P, ll, steps = 0 * self.mean, self.P if self.covariance else None, 0, []
-        for i, output in enumerate(sensor.outputs):
-            sample = Sample(
-                output, y[i] - z[i], None if H is None else H[i, :], self.parameter_symbol(output.noise) ** 2
-            )
+        for sample in samples:
             steps.append(self.correct(sample, dx, P))
             dx, P, ll = steps[-1].dx, steps[-1].P, ll + steps[-1].ll
-        s = ca.vertcat(self.mean + dx, pack(P)) if H is not None else self.mean
-        information = ca.DM([[*outlier_density.INFORMATION] if o.robust else [1.0, 1.0] for o in sensor.outputs])
+        s = ca.vertcat(self.mean + dx, pack(P)) if self.covariance else self.mean
+        outputs = [sample.output for sample in samples]
+        information = ca.DM([[*outlier_density.INFORMATION] if o.robust else [1.0, 1.0] for o in outputs])
         e, S, slope = (ca.vertcat(*column) for column in zip(*[(c.e, c.S, c.slope) for c in steps], strict=True))
         return Update(s, ll, e, S, slope, information, tuple(steps))
 
@@ -405,11 +408,28 @@ class EkfGraphs:
         P : SX (n, n) or None
             Covariance before this measurement; None without a covariance.
         """
-        output, e, H, S = sample.output, sample.e, sample.H, sample.R
-        PH = None
-        if H is not None:
-            e, PH = e - H @ dx, P @ H.T
-            S = H @ PH + S
+        PH = None if sample.H is None else P @ sample.H.T
+        c = self.innovation(sample, dx, PH)
+        if PH is None:
+            return c
+        P_after = self._updated_covariance(sample, P, PH, c.S, c.inverse_variance)
+        return replace(c, dx=dx + PH * c.slope, P=P_after, PH=PH)
+
+    def innovation(self, sample: Sample, dx: Any, PH: Any) -> ScalarUpdate:
+        """Return the expressions of the innovation of one scalar measurement, without those of the state after it.
+
+        Parameters
+        ----------
+        sample : Sample
+            Scalar measurement.
+        dx : SX (n, 1)
+            Change of the mean since the prediction, by the measurements before this one.
+        PH : SX (n, 1) or None
+            Covariance before this measurement times H'; None without a covariance.
+        """
+        output, e, S = sample.output, sample.e, sample.R
+        if PH is not None:
+            e, S = e - sample.H @ dx, sample.H @ PH + S
         if output.angle:
             e = _wrap_angle(e)
         slope, inverse_variance = self.gain_factors(output, e, S)
@@ -418,10 +438,7 @@ class EkfGraphs:
             if output.robust
             else -0.5 * (e * slope + ca.log(2 * math.pi * S))
         )
-        if H is None:
-            return ScalarUpdate(sample, e, S, slope, ll)
-        P_after = self._updated_covariance(sample, P, PH, S, inverse_variance)
-        return ScalarUpdate(sample, e, S, slope, ll, dx + PH * slope, P_after, PH, inverse_variance)
+        return ScalarUpdate(sample, e, S, slope, ll, inverse_variance=inverse_variance)
 
     @staticmethod
     def gain_factors(output: Output, e: Any, S: Any) -> tuple[Any, Any]:

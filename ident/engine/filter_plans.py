@@ -17,8 +17,16 @@ from seatrial.ident.engine import jit
 from seatrial.ident.engine.array_layout import ROWS
 from seatrial.ident.engine.ekf_adjoint import Adjoint, adjoint_of_prediction, adjoint_of_update
 from seatrial.ident.engine.ekf_graph import EkfGraphs, Update
-from seatrial.ident.engine.ekf_tangent import TangentStages, directional_derivative
-from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, ProductStage, split_by_lanes, stage
+from seatrial.ident.engine.filter_stages import FilterStages, directional_derivative
+from seatrial.ident.engine.loop_plan import (
+    ExpressionStage,
+    GramStage,
+    Plan,
+    ProductStage,
+    Stage,
+    split_by_lanes,
+    stage,
+)
 
 
 class Plans:
@@ -50,6 +58,9 @@ class Plans:
         ``ll`` is summed over the rows.
         """
         g = self.graphs
+        if self.graphs.has_matrix_form:
+            made = FilterStages(g)
+            return Plan((*[s for q in range(len(g.samples)) for s in made.update(q)], *made.prediction()), ROWS)
         updates = [stage(g.inputs, self._stage_results(u), bit) for bit, u in enumerate(g.updates)]
         return Plan((*updates, stage(g.inputs, {"s": g.predict[0]})), ROWS)
 
@@ -120,7 +131,7 @@ class Plans:
         few per cent.
         """
         g = self.graphs
-        if g.covariance and not g.joseph and not g.model.second_order:
+        if g.has_matrix_form:
             return self._tangent_by_matrices(double)
         lanes, single = {"ds", "dp", "dll", "lost"}, {"ds", "dp"}
         stages: list[ExpressionStage | GramStage] = []
@@ -146,10 +157,9 @@ class Plans:
         return Plan(tuple(stages), ROWS, frozenset(lanes), 2 * jit.WIDTH, single=frozenset(single))
 
     def _tangent_by_matrices(self, double: bool) -> Plan:
-        """Return the plan of `tangent` in which routines compute the derivatives of the covariance (`TangentStages`)."""
-        made = TangentStages(self.graphs, with_rounding=not double)
-        stages = [s for q, u in enumerate(self.graphs.updates) for s in made.update(q, u)]
-        stages += made.prediction(len(self.graphs.updates))
+        """Return the plan of `tangent` for a filter with the covariance as a matrix (`FilterStages`)."""
+        made = FilterStages(self.graphs, derivatives=True, with_rounding=not double)
+        stages = [s for q in range(len(self.graphs.samples)) for s in made.update(q)] + made.prediction()
         if double:
             return Plan(tuple(stages), ROWS, frozenset(made.lanes))
         single = frozenset((made.lanes | made.scalars) - {"dll", "lost"})
@@ -165,12 +175,24 @@ class Plans:
         log-likelihood ``ll`` is summed over the rows. The filter must have a covariance.
         """
         g, rows = self.graphs, {"predicted", "filtered", "Phi", "e"}
+        if g.has_matrix_form:
+            return self._filter_by_matrices()
         s, Phi = g.predict
         stages = [stage(g.inputs, {"predicted": g.s, "e": g.residual})]
         for bit, u in enumerate(g.updates):
             stages.append(stage(g.inputs, self._stage_results(u) | {f"e{bit}": u.e, f"S{bit}": u.S}, bit))
             rows |= {f"e{bit}", f"S{bit}"}
         stages.append(stage(g.inputs, {"filtered": g.s, "s": s, "Phi": ca.vec(Phi)}))
+        return Plan(tuple(stages), ROWS | rows)
+
+    def _filter_by_matrices(self) -> Plan:
+        """Return the plan of `filter` for a filter with the covariance as a matrix (`FilterStages`)."""
+        g, made, rows = self.graphs, FilterStages(self.graphs), {"predicted", "filtered", "Phi", "e"}
+        stages: list[Stage] = [stage(made.inputs | made.state_inputs, {"predicted": made.state, "e": g.residual})]
+        for q in range(len(g.samples)):
+            stages += made.update(q, innovations=True)
+            rows |= {f"e{q}", f"S{q}"}
+        stages += made.prediction({"filtered": made.state, "Phi": ca.vec(g.transition.Phi)})
         return Plan(tuple(stages), ROWS | rows)
 
     def simulate(self) -> Plan:

@@ -13,14 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.engine.loop_plan import (
+    AddOuterProductStage,
     AddProductsStage,
     AddTransposedStage,
     CombinationStage,
     ExpressionStage,
     GramStage,
-    LaneStage,
+    MatrixStage,
     Plan,
     ProductStage,
+    TransposeStage,
 )
 from seatrial.ident.numerics import Array
 
@@ -61,8 +63,8 @@ def interpret(
                 _run_gram_stage(stage, now, groups)
             elif isinstance(stage, ProductStage):
                 _run_product_stage(stage, now)
-            elif isinstance(stage, LaneStage):
-                _run_lane_stage(stage, now)
+            elif isinstance(stage, MatrixStage):
+                _run_matrix_stage(stage, now)
             else:
                 _run_expression_stage(plan, stage, now, groups)
 
@@ -120,37 +122,47 @@ def _run_product_stage(stage: ProductStage, now: Mapping[str, Array]) -> None:
     now[stage.result][:] = (np.array(left) @ now[stage.right].reshape(-1, stage.stride)).ravel()
 
 
-def _run_lane_stage(stage: LaneStage, now: Mapping[str, Array]) -> None:
-    """Compute a stage on matrices in lanes in one row, for all groups, and write its result among the arrays ``now``.
+def _run_matrix_stage(stage: MatrixStage, now: Mapping[str, Array]) -> None:
+    """Compute a stage on matrices in one row, for all groups of lanes, and write its result among the arrays ``now``.
 
-    An array in lanes has the shape (groups, entries, width).
+    An array in lanes has the shape (groups, entries, width), another array (entries,).
     """
+    into = now[stage.result]
     if isinstance(stage, CombinationStage):
         _run_combination_stage(stage, now)
     elif isinstance(stage, AddProductsStage):
         n, a, w = stage.n, now[stage.lanes], now[stage.scalars][stage.first : stage.first + stage.n]
         product = a[:, :, None] * w[None, None, :, None]
-        now[stage.matrix][:] += (product + product.swapaxes(1, 2)).reshape(len(a), n * n, -1)
+        into[:] += (product + product.swapaxes(1, 2)).reshape(len(a), n * n, -1)
     elif isinstance(stage, AddTransposedStage):
-        n, matrix = stage.n, now[stage.matrix]
-        square = matrix.reshape(len(matrix), n, n, -1)
-        now[stage.result][:] = (square + square.swapaxes(1, 2)).reshape(matrix.shape)
+        square = now[stage.matrix].reshape(len(into), stage.n, stage.n, -1)
+        into[:] = (square + square.swapaxes(1, 2)).reshape(into.shape)
+    elif isinstance(stage, AddOuterProductStage):
+        into += np.outer(now[stage.column], now[stage.row]).ravel()
+    elif isinstance(stage, TransposeStage):
+        n, square = stage.n, now[stage.matrix].reshape(stage.n, stage.stride)[:, : stage.n]
+        mirrored = np.triu(square) + np.triu(square, 1).T if stage.result == stage.matrix else square.T
+        into.reshape(n, stage.stride)[:, :n] = mirrored
     else:
+        in_lanes = into.ndim == 3
         for source, target in stage.entries:
-            now[stage.target][:, target] += now[stage.source][:, source]
+            if in_lanes:
+                into[:, target] += now[stage.source][:, source]
+            else:
+                into[target] += now[stage.source][source]
 
 
 def _run_combination_stage(stage: CombinationStage, now: Mapping[str, Array]) -> None:
     """Combine rows of matrices linearly in one row of the record, for all groups, as `CombinationStage` describes it.
 
-    An array in lanes has the shape (groups, entries, width).
+    An array in lanes has the shape (groups, entries, width), another array (entries,).
     """
-    n, lanes, scalars, matrix = stage.n, now[stage.lanes], now[stage.scalars], now[stage.matrix]
-    found = np.zeros((len(lanes), len(stage.by_scalars), n, lanes.shape[2]))
+    n, scalars, matrix, into = stage.n, now[stage.scalars], now[stage.matrix], now[stage.result]
+    matrix = matrix if matrix.ndim == 3 else matrix[None, :, None]
+    found = np.zeros((len(matrix), len(stage.by_scalars), n, matrix.shape[2]))
     for r, (first, second) in enumerate(zip(stage.by_lanes, stage.by_scalars, strict=True)):
         for factor, at in first:
-            found[:, r] += lanes[:, factor, None] * scalars[None, at : at + n, None]
+            found[:, r] += now[stage.lanes][:, factor, None] * scalars[None, at : at + n, None]
         for factor, line in second:
             found[:, r] += scalars[factor] * matrix[:, line * n : (line + 1) * n]
-    found = found.swapaxes(1, 2) if stage.transposed else found
-    now[stage.result][:] = found.reshape(len(lanes), -1, lanes.shape[2])
+    into[...] = (found.swapaxes(1, 2) if stage.transposed else found).reshape(into.shape)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.errors import warn
-from seatrial.ident.engine import jit, lane_routines
+from seatrial.ident.engine import jit, matrix_routines
 from seatrial.ident.engine.array_layout import Layout
 from seatrial.ident.numerics import Array
 
@@ -392,4 +392,4 @@ class Kernel:
 
 def _addresses_of(routines: Sequence[str]) -> dict[str, int]:
     """Return the addresses of routines by name. Those that are not in memory yet are compiled or loaded."""
-    return {name: lane_routines.address_of(name) for name in routines}
+    return {name: matrix_routines.address_of(name) for name in routines}

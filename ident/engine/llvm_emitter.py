@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from seatrial.ident.engine import lane_routines
+from seatrial.ident.engine import jit, matrix_routines
 from seatrial.ident.engine.expressions import evaluate_instructions
 from seatrial.ident.engine.llvm_operations import (
     COMPARISONS,
@@ -33,15 +33,17 @@ from seatrial.ident.engine.llvm_operations import (
 )
 from seatrial.ident.engine.loop_plan import (
     AddEntriesStage,
+    AddOuterProductStage,
     AddProductsStage,
     AddTransposedStage,
     CombinationStage,
     ExpressionStage,
     GramStage,
-    LaneStage,
+    MatrixStage,
     Plan,
     ProductStage,
     Stage,
+    TransposeStage,
 )
 
 FRAME = '"frame-pointer"="all"'  # function attribute with which LLVM can align the stack for spilled vectors
@@ -115,7 +117,7 @@ class LlvmEmitter:
     declarations : set[str]
         Declarations of the functions of the C library, and of the routines, that are called.
     routines : set[str]
-        Names of the routines (`lane_routines`) that are called. The machine code is linked with them.
+        Names of the routines (`matrix_routines`) that are called. The machine code is linked with them.
     values_by_instruction : dict[Any, Value]
         Result of each instruction that was written. Equal instructions are written once: if they are constant, once in
         the module, otherwise once in a stage; loads and addresses once in a basic block.
@@ -229,7 +231,7 @@ class LlvmEmitter:
         for stage in self.plan.stages:
             if isinstance(stage, ProductStage) and name in (stage.right, stage.result):
                 return True
-            if isinstance(stage, (CombinationStage, AddProductsStage)) and name == stage.scalars:
+            if isinstance(stage, MatrixStage) and name in (*stage.arguments, stage.result):
                 return True
             if isinstance(stage, ExpressionStage):
                 names = {*stage.function.name_in(), *stage.function.name_out()}
@@ -277,8 +279,8 @@ class LlvmEmitter:
         elif isinstance(stage, ProductStage):
             self._write_product(stage)
             self._append_lines(f"br label %end{q}")
-        elif isinstance(stage, LaneStage):
-            self._write_lane_stage(stage)
+        elif isinstance(stage, MatrixStage):
+            self._write_matrix_stage(stage)
         elif self.plan.lanes.isdisjoint([*stage.function.name_in(), *stage.function.name_out()]):
             self._write_instructions(stage)
             self._append_lines(f"br label %end{q}")
@@ -446,65 +448,91 @@ class LlvmEmitter:
             "}",
         ]
 
-    def _write_lane_stage(self, stage: LaneStage) -> None:
-        """Write a stage on matrices in lanes for each group of lanes: the call of a routine, or additions of entries."""
+    def _write_matrix_stage(self, stage: MatrixStage) -> None:
+        """Write a stage on matrices: the call of a routine, or additions of entries.
+
+        If the matrices are in lanes, it is written for each group of lanes.
+        """
         q, body = self.stage_index, list[str]()
-
-        def address(name: str, first: int = 0) -> str:
-            """Append the computation of the address of an array to the body, and return the name of the pointer.
-
-            It is that of the array's part in the group if the array is in lanes, else of its entry ``first``.
-            """
-            pointer = f"%{name}.{q}"
-            if name in self.plan.lanes:
-                body.append(f"{pointer}.first = mul i64 %g{q}, {self.plan.sizes[name]}")
-            body.append(
-                f"{pointer} = getelementptr {self._array_type(name)}, ptr %{name}, i64 "
-                + (f"{pointer}.first" if name in self.plan.lanes else str(first))
-            )
-            return f"ptr {pointer}"
-
         if isinstance(stage, AddEntriesStage):
-            source, target = address(stage.source), address(stage.target)
-            kind, align = self._array_type(stage.source), self._alignment(stage.source)
-            for k, (i, j) in enumerate(stage.entries):
-                a, b = f"%a{q}.{k}", f"%b{q}.{k}"
-                body += [
-                    f"{a}.p = getelementptr {kind}, {source}, i64 {i}",
-                    f"{a} = load {kind}, ptr {a}.p, align {align}",
-                    f"{b}.p = getelementptr {kind}, {target}, i64 {j}",
-                    f"{b} = load {kind}, ptr {b}.p, align {align}",
-                    f"{b}.sum = fadd {FAST} {kind} {a}, {b}",
-                    f"store {kind} {b}.sum, ptr {b}.p, align {align}",
-                ]
+            self._write_added_entries(stage, body)
         else:
-            if isinstance(stage, CombinationStage):
-                routine = lane_routines.COMBINE
-                table = [
-                    number
-                    for first, second in zip(stage.by_lanes, stage.by_scalars, strict=True)
-                    for number in (len(first), len(second), *sum((*first, *second), ()))
-                ]
-                content = ", ".join(f"i32 {number}" for number in table)
-                self.function_lines.append(f"@table{q} = internal constant [{len(table)} x i32] [{content}]")
-                by_row, by_entry = stage.steps
-                arguments = [
-                    *map(address, (stage.lanes, stage.scalars, stage.matrix, stage.result)),
-                    f"i64 {by_row}", f"i64 {by_entry}", f"ptr @table{q}", f"i64 {len(stage.by_scalars)}",
-                ]  # fmt: skip
-            elif isinstance(stage, AddProductsStage):
-                routine = lane_routines.ADD_PRODUCTS
-                arguments = [address(stage.matrix), address(stage.lanes), address(stage.scalars, stage.first)]
-            else:
-                assert isinstance(stage, AddTransposedStage)
-                routine = lane_routines.ADD_TRANSPOSED
-                arguments = [address(stage.result), address(stage.matrix)]
-            number = self._number_of(stage.matrix)
-            name = lane_routines.routine_name(routine, stage.n, self.plan.width, number)
-            self.declarations.add(lane_routines.declaration(routine, name))
+            name, arguments = self._routine_call(stage, body)
             self.routines.add(name)
             body.append(f"call void @{name}({', '.join(arguments)})")
-        self._write_group_loop(f"do{q}", f"g{q}", "0", body, f"end{q}")
+        if stage.result in self.plan.lanes:
+            self._write_group_loop(f"do{q}", f"g{q}", "0", body, f"end{q}")
+        else:
+            self._append_lines(*body, f"br label %end{q}")
+
+    def _routine_call(self, stage: MatrixStage, body: list[str]) -> tuple[str, list[str]]:
+        """Return the name of the routine that computes a stage on matrices, and its arguments.
+
+        The computation of addresses is appended to ``body``, and the routine is declared. Other stages than those with
+        a routine are not allowed.
+        """
+        q, n, width = self.stage_index, stage.n, self.plan.width  # type: ignore[union-attr]
+        here = partial(self._part_address, body)
+        if isinstance(stage, CombinationStage):
+            if stage.result not in self.plan.lanes:
+                n, width = n // jit.WIDTH, jit.WIDTH
+            table = [
+                number
+                for first, second in zip(stage.by_lanes, stage.by_scalars, strict=True)
+                for number in (len(first), len(second), *sum((*first, *second), ()))
+            ]
+            content, (by_row, by_entry) = ", ".join(f"i32 {number}" for number in table), stage.steps
+            self.function_lines.append(f"@table{q} = internal constant [{len(table)} x i32] [{content}]")
+            # without lanes, a row of the result is n vectors
+            by_row = by_row if stage.result in self.plan.lanes else n
+            arrays = (stage.lanes or stage.matrix, stage.scalars, stage.matrix, stage.result)
+            kind, arguments = matrix_routines.COMBINE, [here(name, str(k)) for k, name in enumerate(arrays)]
+            arguments += [f"i64 {by_row}", f"i64 {by_entry}", f"ptr @table{q}", f"i64 {len(stage.by_scalars)}"]
+        elif isinstance(stage, AddProductsStage):
+            kind, arguments = matrix_routines.ADD_PRODUCTS, [here(stage.result), here(stage.lanes)]
+            arguments.append(here(stage.scalars, first=stage.first))
+        elif isinstance(stage, AddTransposedStage):
+            kind, arguments = matrix_routines.ADD_TRANSPOSED, [here(stage.result), here(stage.matrix)]
+        elif isinstance(stage, AddOuterProductStage):
+            kind, n, width = matrix_routines.ADD_OUTER_PRODUCT, stage.stride // jit.WIDTH, jit.WIDTH
+            arguments = [here(stage.result), here(stage.column), here(stage.row), f"i64 {stage.n}"]
+        else:
+            assert isinstance(stage, TransposeStage)
+            kind, width = matrix_routines.MIRROR, stage.stride
+            arguments = [here(stage.result)]
+            if stage.result != stage.matrix:
+                kind, arguments = matrix_routines.TRANSPOSE, [*arguments, here(stage.matrix)]
+        name = matrix_routines.routine_name(kind, n, width, self._number_of(stage.result))
+        self.declarations.add(matrix_routines.declaration(kind, name))
+        return name, arguments
+
+    def _write_added_entries(self, stage: AddEntriesStage, body: list[str]) -> None:
+        """Append the lines to ``body`` that add entries of an array to entries of another one."""
+        q, kind, align = self.stage_index, self._array_type(stage.result), self._alignment(stage.result)
+        source, target = self._part_address(body, stage.source), self._part_address(body, stage.result)
+        for k, (i, j) in enumerate(stage.entries):
+            a, b = f"%a{q}.{k}", f"%b{q}.{k}"
+            body += [
+                f"{a}.p = getelementptr {kind}, {source}, i64 {i}",
+                f"{a} = load {kind}, ptr {a}.p, align {align}",
+                f"{b}.p = getelementptr {kind}, {target}, i64 {j}",
+                f"{b} = load {kind}, ptr {b}.p, align {align}",
+                f"{b}.sum = fadd {FAST} {kind} {a}, {b}",
+                f"store {kind} {b}.sum, ptr {b}.p, align {align}",
+            ]
+
+    def _part_address(self, body: list[str], name: str, label: str = "", first: int = 0) -> str:
+        """Append the computation of an address to ``body``, and return the pointer as an argument of a call.
+
+        It is that of the array's part in the current group if the array ``name`` is in lanes, else of its entry
+        ``first``. ``label`` distinguishes pointers to the same array in a stage.
+        """
+        pointer, entry = f"%{name}.at{self.stage_index}.{label}", str(first)
+        if name in self.plan.lanes:
+            entry = f"{pointer}.first"
+            body.append(f"{entry} = mul i64 %g{self.stage_index}, {self.plan.sizes[name]}")
+        body.append(f"{pointer} = getelementptr {self._array_type(name)}, ptr %{name}, i64 {entry}")
+        return f"ptr {pointer}"
 
     def _write_product(self, stage: ProductStage) -> None:
         """Write the IR of a stage that is a matrix product.

@@ -122,22 +122,23 @@ class ProductStage:
 
 @dataclass(frozen=True)
 class CombinationStage:
-    """Stage of a plan that combines rows of matrices linearly in each group of lanes.
+    """Stage of a plan that combines rows of matrices linearly, in each group of lanes if the matrices are in lanes.
 
     Row r of the result is the sum of two kinds of terms: an entry of ``lanes`` times a row of numbers of ``scalars``,
     and a number of ``scalars`` times a row of ``matrix``. Products with matrices that have few nonzero entries, some of
-    them in lanes, consist of such terms.
+    them in lanes, consist of such terms. Without lanes, there are only terms of the second kind, and ``n`` is a
+    multiple of `jit.WIDTH`, so that a vector holds neighbouring entries of a row.
 
     Attributes
     ----------
     lanes : str
-        Name of an array in lanes: the factors of the first kind of terms.
+        Name of an array in lanes: the factors of the first kind of terms. Empty without such terms.
     scalars : str
         Name of an array without lanes: rows of the first kind of terms, and factors of the second kind.
     matrix : str
-        Name of the array in lanes of a matrix (n_lines, n), by matrix rows.
+        Name of the array of a matrix (n_lines, n), by matrix rows.
     result : str
-        Name of the array in lanes of the result.
+        Name of the array of the result.
     n : int
         Number of columns.
     by_lanes : tuple[tuple[tuple[int, int], ...], ...]
@@ -147,7 +148,8 @@ class CombinationStage:
         For each row of the result, the terms of the second kind: index in ``scalars``, and number of the row of
         ``matrix``.
     transposed : bool
-        Whether row r of the result is written to column r of its array instead of its row r.
+        Whether row r of the result is written to column r of its array instead of its row r. The matrices must be in
+        lanes.
     bit : int or None
         The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
     """
@@ -157,8 +159,8 @@ class CombinationStage:
     matrix: str
     result: str
     n: int
-    by_lanes: tuple[tuple[tuple[int, int], ...], ...]
-    by_scalars: tuple[tuple[tuple[int, int], ...], ...]
+    by_lanes: Terms
+    by_scalars: Terms
     transposed: bool = False
     bit: int | None = None
 
@@ -167,6 +169,11 @@ class CombinationStage:
         """Number of entries of the matrix and of the result, by name of the array."""
         lines = 1 + max((line for terms in self.by_scalars for _, line in terms), default=-1)
         return {self.matrix: lines * self.n, self.result: len(self.by_scalars) * self.n}
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arrays that the stage reads."""
+        return (*((self.lanes,) if self.lanes else ()), self.scalars, self.matrix)
 
     @property
     def steps(self) -> tuple[int, int]:
@@ -186,7 +193,7 @@ class AddProductsStage:
         Name of the array without lanes that has the vector w (n,).
     first : int
         Index of the first entry of w in ``scalars``.
-    matrix : str
+    result : str
         Name of the array in lanes of the matrix (n, n), which is changed.
     n : int
         Number of rows of the matrix.
@@ -197,14 +204,19 @@ class AddProductsStage:
     lanes: str
     scalars: str
     first: int
-    matrix: str
+    result: str
     n: int
     bit: int | None = None
 
     @property
     def sizes(self) -> dict[str, int]:
         """Number of entries of the matrix, by name of its array."""
-        return {self.matrix: self.n * self.n}
+        return {self.result: self.n * self.n}
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arrays that the stage reads."""
+        return (self.lanes, self.scalars, self.result)
 
 
 @dataclass(frozen=True)
@@ -231,29 +243,119 @@ class AddTransposedStage:
         """Number of entries of both matrices, by name of the array."""
         return {self.matrix: self.n * self.n, self.result: self.n * self.n}
 
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arrays that the stage reads."""
+        return (self.matrix,)
+
 
 @dataclass(frozen=True)
 class AddEntriesStage:
-    """Stage of a plan that adds entries of an array to entries of another one in each group of lanes.
+    """Stage of a plan that adds entries of an array to entries of another one; either both are in lanes or neither.
 
     Attributes
     ----------
-    source, target : str
-        Names of the arrays in lanes. ``target`` is changed.
+    source, result : str
+        Names of the arrays. ``result`` is changed.
     entries : tuple[tuple[int, int], ...]
-        Index in ``source`` and index in ``target`` of each addition.
+        Index in ``source`` and index in ``result`` of each addition.
     bit : int or None
         The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
     """
 
     source: str
-    target: str
+    result: str
     entries: tuple[tuple[int, int], ...]
     bit: int | None = None
 
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Empty: other stages have the sizes of both arrays."""
+        return {}
 
-LaneStage = CombinationStage | AddProductsStage | AddTransposedStage | AddEntriesStage
-Stage = ExpressionStage | GramStage | ProductStage | LaneStage
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arrays that the stage reads."""
+        return (self.source, self.result)
+
+
+@dataclass(frozen=True)
+class AddOuterProductStage:
+    """Stage of a plan that adds the product ``a w'`` of two vectors to a matrix without lanes.
+
+    Attributes
+    ----------
+    column : str
+        Name of the array of the vector a (n,).
+    row : str
+        Name of the array of the vector w (stride,).
+    result : str
+        Name of the array of the matrix (n, stride), which is changed.
+    n : int
+        Number of rows.
+    stride : int
+        Number of columns, a multiple of `jit.WIDTH`.
+    bit : int or None
+        The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
+    """
+
+    column: str
+    row: str
+    result: str
+    n: int
+    stride: int
+    bit: int | None = None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Number of entries of the matrix, by name of its array."""
+        return {self.result: self.n * self.stride}
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arrays that the stage reads."""
+        return (self.column, self.row, self.result)
+
+
+@dataclass(frozen=True)
+class TransposeStage:
+    """Stage of a plan that transposes a matrix without lanes, or copies its upper triangle to the lower one.
+
+    Attributes
+    ----------
+    matrix : str
+        Name of the array of the matrix (n, stride), of which the first n columns are used.
+    result : str
+        Name of the array of the transpose. If it is that of the matrix, the upper triangle is copied.
+    n, stride : int
+        Number of rows, and of entries in each row.
+    bit : int or None
+        The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
+    """
+
+    matrix: str
+    result: str
+    n: int
+    stride: int
+    bit: int | None = None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Number of entries of both matrices, by name of the array."""
+        return {self.matrix: self.n * self.stride, self.result: self.n * self.stride}
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arrays that the stage reads."""
+        return (self.matrix,)
+
+
+Terms = tuple[tuple[tuple[int, int], ...], ...]
+# Stages on matrices. A routine that is compiled once for all models does the work of most of them (`matrix_routines`).
+MatrixStage = (
+    CombinationStage | AddProductsStage | AddTransposedStage | AddEntriesStage | AddOuterProductStage | TransposeStage
+)
+Stage = ExpressionStage | GramStage | ProductStage | MatrixStage
 
 
 @dataclass(frozen=True)
@@ -301,7 +403,7 @@ class Plan:
                 sizes[part.result] = self.width
             elif isinstance(part, ProductStage):
                 sizes |= {part.right: len(part.left[0]) * part.stride, part.result: len(part.left) * part.stride}
-            elif isinstance(part, (CombinationStage, AddProductsStage, AddTransposedStage)):
+            elif isinstance(part, MatrixStage):
                 sizes |= {name: max(size, sizes.get(name, 0)) for name, size in part.sizes.items()}
         return sizes
 
@@ -316,18 +418,9 @@ class Plan:
         results = {name for f in self.functions for name in f.name_out()}
         results |= {s.result for s in self.stages if isinstance(s, ProductStage)}
         for part in self.stages:
-            if isinstance(part, CombinationStage):
-                arguments |= {part.lanes, part.scalars, part.matrix}
+            if isinstance(part, MatrixStage):
+                arguments |= {*part.arguments}
                 results.add(part.result)
-            elif isinstance(part, AddProductsStage):
-                arguments |= {part.lanes, part.scalars, part.matrix}
-                results.add(part.matrix)
-            elif isinstance(part, AddTransposedStage):
-                arguments.add(part.matrix)
-                results.add(part.result)
-            elif isinstance(part, AddEntriesStage):
-                arguments |= {part.source, part.target}
-                results.add(part.target)
         return frozenset(arguments & results) - self.rows
 
     @cached_property

@@ -19,13 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import Record
-from seatrial.ident.engine import (
-    DERIVATIVE_OF_COVARIANCE,
-    DERIVATIVE_OF_MEAN,
-    ArenaPool,
-    FilterKernels,
-    filter_kernels_for,
-)
+from seatrial.ident.engine import ArenaPool, FilterKernels, filter_kernels_for
 from seatrial.ident.estimation.model_kernels import ModelKernels, kernel_inputs, model_kernels
 from seatrial.ident.estimation.prepared_record import InitialCondition, Prepared, Preparer, initial_condition
 from seatrial.ident.model import LIKELY, Model, robust_weight
@@ -236,7 +230,7 @@ class Likelihood:
         data, start = self._prepare_with_initial_state(record, values)
         kernel = self._common.kernels.value
         with self._arenas.borrow() as arena:
-            arrays = {**self._common.arrays(kernel, data, values), "s": start.s}
+            arrays = {**self._common.arrays(kernel, data, values), **kernel.layout.state_arrays(start.s)}
             done = kernel(data.n_rows, data.mask, arrays, arena=arena)
             return float(done["ll"][0])
 
@@ -331,19 +325,19 @@ class Likelihood:
         groups, width, n = kernel.groups(len(free)), kernel.layout.width, len(free)
         lane_of = {parameter: lane for lane, parameter in enumerate(chosen)}
         with self._arenas.borrow() as arena:
-            names = kernel.layout.carried & {"ds", DERIVATIVE_OF_MEAN, DERIVATIVE_OF_COVARIANCE}
+            layout = kernel.layout
             moved = {
-                name: arena.take(name, kernel.layout.shape(name, data.n_rows, groups), dtype=kernel.layout.dtype(name))
-                for name in names
+                name: arena.take(name, layout.shape(name, data.n_rows, groups), dtype=layout.dtype(name))
+                for name in layout.derivative_arrays
             }
             for entry, parameter, slope in start.tangent:
                 if parameter in lane_of:
                     lane = lane_of[parameter]
-                    for name, at in _places(entry, len(self.model.states), DERIVATIVE_OF_COVARIANCE in names):
+                    for name, at in layout.derivative_entries(entry):
                         moved[name][lane // width, at, lane % width] += slope
             arrays = {
                 **common.arrays(kernel, data, values),
-                "s": start.s.copy(),
+                **layout.state_arrays(start.s),
                 **moved,
                 "dp": kernel.seeds(common.without.size, common.place[chosen].tolist(), groups),
             }
@@ -368,7 +362,7 @@ class Likelihood:
         data, start = self._prepare_with_initial_state(record, values)
         kernel = self._common.kernels.tangent
         with self._arenas.borrow() as arena:
-            arrays = {**self._common.arrays(kernel, data, values), "s": start.s}
+            arrays = {**self._common.arrays(kernel, data, values), **kernel.layout.state_arrays(start.s)}
             done = kernel(data.n_rows, data.mask, arrays, arena=arena, per_row={"ll"})
             return done["ll"][:, 0].copy()
 
@@ -392,21 +386,21 @@ class Likelihood:
         kernel, n, n_rows, p = self._common.kernels.filter, len(self.model.states), data.n_rows, values
         outputs, pieces = len(self.model.outputs), _row_pieces(data.n_rows)
 
-        def run(rows: slice, s: Array) -> dict[str, Array]:
-            """Run the filter over a slice of rows from the state ``s`` at its start. ``s`` is updated in place."""
+        def run(rows: slice, state: Mapping[str, Array]) -> dict[str, Array]:
+            """Run the filter over a slice of rows from the arrays of the state at its start; they are changed."""
             sensor_arrays = {
                 f"{kind}{bit}": np.full((rows.stop - rows.start, len(sensor.outputs)), np.nan)
                 for bit, sensor in enumerate(self.model.sensors)
                 for kind in "eS"
             }
-            arrays = {**self._common.arrays(kernel, data, p, rows), "s": s, **sensor_arrays}
+            arrays = {**self._common.arrays(kernel, data, p, rows), **state, **sensor_arrays}
             return kernel(rows.stop - rows.start, data.mask[rows], arrays, per_row={"ll"})
 
         x_pred, x_filt = np.empty((2, n_rows, n))
         e, eps, S = np.empty((3, n_rows, outputs))
-        ll, state, initial = np.empty(n_rows), start.s, list[Array]()
+        ll, state, initial = np.empty(n_rows), kernel.layout.state_arrays(start.s), list[dict[str, Array]]()
         for rows in pieces:
-            initial.append(state.copy())
+            initial.append({name: a.copy() for name, a in state.items()})
             done = run(rows, state)
             x_pred[rows], x_filt[rows] = done["predicted"][:, :n], done["filtered"][:, :n]
             e[rows], ll[rows] = done["e"], done["ll"][:, 0]
@@ -425,7 +419,7 @@ class Likelihood:
                 if rows.start < end and first < rows.stop:
                     if k not in last:
                         last.clear()
-                        last[k] = _covariances_of_run(run(rows, initial[k].copy()), n)
+                        last[k] = _covariances_of_run(run(rows, {name: a.copy() for name, a in initial[k].items()}), n)
                     parts.append([a[max(first - rows.start, 0) : end - rows.start] for a in last[k]])
             return Covariances(*(p[0] if len(p) == 1 else np.concatenate(p) for p in zip(*parts, strict=True)))
 
@@ -466,7 +460,7 @@ class Likelihood:
             for kind in "eS"
         }
         s = np.append(x, P[np.triu_indices(n)])
-        done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"s": s})
+        done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | kernel.layout.state_arrays(s))
         return done["predicted"][:, :n].copy(), _covariance_matrices(done["predicted"], n)
 
     def measured(self, record: Record) -> int:
@@ -499,31 +493,6 @@ def _row_pieces(n_rows: int) -> list[slice]:
     """
     size = n_rows if n_rows <= WHOLE else PIECE
     return [slice(first, min(first + size, n_rows)) for first in range(0, n_rows, size)]
-
-
-def _places(entry: int, n: int, by_matrices: bool) -> list[tuple[str, int]]:
-    """Return where the kernel of sensitivities stores the derivative of an entry of the filter state.
-
-    Parameters
-    ----------
-    entry
-        Index in the filter state: of the mean, or of the upper triangle of the covariance after it.
-    n
-        Number of states of the model.
-    by_matrices
-        Whether the kernel has arrays of the mean and of the whole covariance. Otherwise it has one of the filter state.
-
-    Returns
-    -------
-    list[tuple[str, int]]
-        Name of the array and index in it: two of them for an entry of the covariance that is not on its diagonal.
-    """
-    if not by_matrices:
-        return [("ds", entry)]
-    if entry < n:
-        return [(DERIVATIVE_OF_MEAN, entry)]
-    i, j = (int(index[entry - n]) for index in np.triu_indices(n))
-    return [(DERIVATIVE_OF_COVARIANCE, k) for k in {i * n + j, j * n + i}]
 
 
 def _symmetric_from_blocks(blocks: Array) -> Array:

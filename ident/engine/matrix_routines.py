@@ -1,9 +1,11 @@
-"""Routines on matrices in lanes that the machine code of kernels calls: each is compiled once, for all models.
+"""Routines on matrices that the machine code of kernels calls: each is compiled once, for all models.
 
-A lane is one element of the processor's vector registers; it holds, for example, the derivative by one parameter. A
-matrix in lanes has a vector of numbers for each entry. The derivatives of a filter's covariance are such matrices, and
-most of the work of forward sensitivities is on them. The routines depend on the number of states and on the type of the
-numbers, and not on the model. A kernel that calls them has fewer instructions, so that it is compiled sooner.
+Most of the work of a filter and of its forward sensitivities is on the covariance and its derivatives. The routines
+depend on the number of states and on the type of the numbers, and not on the model. A kernel that calls them has fewer
+instructions, so that it is compiled sooner.
+
+Most routines work on matrices of vectors. For the derivatives, a vector has the derivatives of one entry by several
+parameters, one in each lane. For the covariance itself, it has neighbouring entries of a row.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ FLAGS = "contract"  # a product and a sum may become one instruction
 # Entries of a row of a matrix that are kept in registers at the same time; the processor has 32 or 16 registers
 ROW_ENTRIES = 24 if jit.WIDTH == 8 else 12
 COMBINE, ADD_PRODUCTS, ADD_TRANSPOSED = "combine", "add_products", "add_transposed"
+ADD_OUTER_PRODUCT, TRANSPOSE, MIRROR = "add_outer_product", "transpose", "mirror"
 _lock = threading.Lock()
 
 
@@ -27,11 +30,11 @@ def routine_name(kind: str, n: int, width: int, number: str) -> str:
     Parameters
     ----------
     kind : str
-        ``combine``, ``add_products`` or ``add_transposed``.
+        One of the constants of this module, such as ``combine``.
     n : int
-        Number of columns of the matrices.
+        Number of columns of the matrices, in vectors; for ``transpose`` and ``mirror``, in numbers.
     width : int
-        Number of lanes, the numbers in a vector.
+        Numbers in a vector; for ``transpose`` and ``mirror``, the distance from a row to the next.
     number : str
         LLVM's type of the numbers: ``float`` or ``double``.
     """
@@ -66,6 +69,9 @@ _ARGUMENTS = {
     ),
     ADD_PRODUCTS: ("ptr %matrix", "ptr %lanes", "ptr %scalars"),
     ADD_TRANSPOSED: ("ptr %result", "ptr %matrix"),
+    ADD_OUTER_PRODUCT: ("ptr %matrix", "ptr %column", "ptr %line", "i64 %rows"),
+    TRANSPOSE: ("ptr %result", "ptr %matrix"),
+    MIRROR: ("ptr %matrix",),
 }  # fmt: skip
 
 
@@ -91,8 +97,8 @@ def _product_added(name: str, vector: str, a: str, b: str, to: str) -> list[str]
 def _combine_ir(name: str, n: int, width: int, number: str) -> str:
     """Return the IR of the routine that combines rows of matrices linearly.
 
-    Row r of the result is the sum of numbers in lanes times rows of scalars, and of scalars times rows of ``matrix``,
-    which is in lanes. For each row of the result ``table`` has the numbers of terms of both kinds, then the terms of
+    Row r of the result is the sum of vectors of ``lanes`` times rows of scalars, and of scalars times rows of ``matrix``,
+    which consist of vectors. For each row of the result ``table`` has the numbers of terms of both kinds, then the terms of
     the first kind, then those of the second kind. A term of the first kind has the index in ``lanes`` and the index in
     ``scalars`` of the row's first entry. A term of the second kind has the index in ``scalars`` and the number of the
     row of ``matrix``. Entry j of row r of the result is written to the entry ``r row.step + j entry.step``.
@@ -256,4 +262,82 @@ def _add_transposed_ir(name: str, n: int, width: int, number: str) -> str:
     return _definition(ADD_TRANSPOSED, name, [*lines, "exit:"])
 
 
-_WRITERS = {COMBINE: _combine_ir, ADD_PRODUCTS: _add_products_ir, ADD_TRANSPOSED: _add_transposed_ir}
+def _add_outer_product_ir(name: str, n: int, width: int, number: str) -> str:
+    """Return the IR of the routine that adds the product ``a w'`` to a matrix with n vectors in each row.
+
+    The vector a is in ``column``, and w in ``line``.
+    """
+    vector, align = f"<{width} x {number}>", 4 if number == "float" else 8
+    lines = [
+        "entry:",
+        *[f"%w{j}.p = getelementptr {vector}, ptr %line, i64 {j}" for j in range(n)],
+        *[f"%w{j} = load {vector}, ptr %w{j}.p, align {align}" for j in range(n)],
+        "br label %row",
+        "row:",
+        "%i = phi i64 [0, %entry], [%i.next, %row]",
+        f"%a.p = getelementptr {number}, ptr %column, i64 %i",
+        f"%a.1 = load {number}, ptr %a.p, align {align}",
+        *_repeated("%a", "%a.1", vector, width, number),
+        f"%at = mul i64 %i, {n}",
+        f"%to = getelementptr {vector}, ptr %matrix, i64 %at",
+    ]
+    for j in range(n):
+        lines += [
+            f"%d{j}.p = getelementptr {vector}, ptr %to, i64 {j}",
+            f"%d{j} = load {vector}, ptr %d{j}.p, align {align}",
+            *_product_added(f"%x{j}", vector, "%a", f"%w{j}", f"%d{j}"),
+            f"store {vector} %x{j}, ptr %d{j}.p, align {align}",
+        ]
+    lines += ["%i.next = add i64 %i, 1", "%more = icmp slt i64 %i.next, %rows", "br i1 %more, label %row, label %exit"]
+    return _definition(ADD_OUTER_PRODUCT, name, [*lines, "exit:"])
+
+
+def _transpose_ir(name: str, n: int, stride: int, number: str) -> str:
+    """Return the IR of the routine that transposes a matrix of n rows, of which each takes ``stride`` numbers."""
+    align = 4 if number == "float" else 8
+    lines = [
+        "entry:",
+        "br label %row",
+        "row:",
+        "%i = phi i64 [0, %entry], [%i.next, %row]",
+        f"%at = mul i64 %i, {stride}",
+        f"%line = getelementptr {number}, ptr %matrix, i64 %at",
+        f"%column = getelementptr {number}, ptr %result, i64 %i",
+    ]
+    for j in range(n):
+        lines += [
+            f"%a{j}.p = getelementptr {number}, ptr %line, i64 {j}",
+            f"%a{j} = load {number}, ptr %a{j}.p, align {align}",
+            f"%o{j}.p = getelementptr {number}, ptr %column, i64 {j * stride}",
+            f"store {number} %a{j}, ptr %o{j}.p, align {align}",
+        ]
+    lines += ["%i.next = add i64 %i, 1", f"%more = icmp slt i64 %i.next, {n}", "br i1 %more, label %row, label %exit"]
+    return _definition(TRANSPOSE, name, [*lines, "exit:"])
+
+
+def _mirror_ir(name: str, n: int, stride: int, number: str) -> str:
+    """Return the IR of the routine that copies the upper triangle of a matrix of n rows to its lower triangle.
+
+    Each row takes ``stride`` numbers.
+    """
+    align, lines = 4 if number == "float" else 8, ["entry:"]
+    for i in range(n):
+        for j in range(i + 1, n):
+            a = f"%a{i}.{j}"
+            lines += [
+                f"{a}.p = getelementptr {number}, ptr %matrix, i64 {i * stride + j}",
+                f"{a} = load {number}, ptr {a}.p, align {align}",
+                f"{a}.q = getelementptr {number}, ptr %matrix, i64 {j * stride + i}",
+                f"store {number} {a}, ptr {a}.q, align {align}",
+            ]
+    return _definition(MIRROR, name, lines)
+
+
+_WRITERS = {
+    COMBINE: _combine_ir,
+    ADD_PRODUCTS: _add_products_ir,
+    ADD_TRANSPOSED: _add_transposed_ir,
+    ADD_OUTER_PRODUCT: _add_outer_product_ir,
+    TRANSPOSE: _transpose_ir,
+    MIRROR: _mirror_ir,
+}
