@@ -158,7 +158,7 @@ class Plans:
 
     def _tangent_by_matrices(self, double: bool) -> Plan:
         """Return the plan of `tangent` for a filter with the covariance as a matrix (`FilterStages`)."""
-        made = FilterStages(self.graphs, derivatives=True, with_rounding=not double)
+        made = FilterStages(self.graphs, derivatives=True, single=not double)
         stages = [s for q in range(len(self.graphs.samples)) for s in made.update(q)] + made.prediction()
         if double:
             return Plan(tuple(stages), ROWS, frozenset(made.lanes))

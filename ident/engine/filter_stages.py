@@ -40,6 +40,7 @@ from seatrial.ident.engine.loop_plan import (
     AddTransposedStage,
     CombinationStage,
     GramStage,
+    SingleCopyStage,
     Stage,
     Terms,
     TransposeStage,
@@ -48,8 +49,8 @@ from seatrial.ident.engine.loop_plan import (
 from seatrial.ident.model import outlier_density
 
 
-class _Scalars:
-    """Array of the numbers of a row that its stages in lanes read; they are computed once for all lanes.
+class _Entries:
+    """Array whose entries are collected one after the other: their symbols for later stages, and their expressions.
 
     Attributes
     ----------
@@ -58,7 +59,7 @@ class _Scalars:
     """
 
     def __init__(self, name: str) -> None:
-        """Create an empty array with this name. `add` fills it."""
+        """Create an empty array with this name."""
         self.name = name
         self._symbols: list[Any] = []
         self._values: list[Any] = []
@@ -67,24 +68,35 @@ class _Scalars:
         """Return the number of entries so far."""
         return len(self._values)
 
+    @property
+    def symbols(self) -> Any:
+        """Symbols of all entries, as a column."""
+        return ca.vertcat(ca.SX(0, 1), *self._symbols)
+
+    @property
+    def values(self) -> Any:
+        """Expressions of all entries, as a column."""
+        return ca.vertcat(ca.SX(0, 1), *self._values)
+
+    def append(self, value: Any) -> int:
+        """Append an entry, and return its index."""
+        self._symbols.append(ca.SX.sym(f"{self.name}_{len(self)}"))
+        self._values.append(value)
+        return len(self) - 1
+
+
+class _Scalars(_Entries):
+    """Array of the numbers of a row that later stages read. All lanes share them, so that they are computed once."""
+
     def add(self, value: Any) -> Any:
         """Append the nonzero entries of a matrix, and return the matrix with symbols in place of these entries.
 
-        Constant entries are appended, too, so that the entries of the array follow each other, but remain constants in
-        the result.
+        Constant entries are appended, too, so that the entries of the matrix follow each other in the array, but they
+        remain constants in the result.
         """
         value = ca.SX(value)
-        new = [ca.SX.sym(f"{self.name}_{len(self) + k}") for k in range(value.nnz())]
-        entries = value.nonzeros()
-        self._symbols += new
-        self._values += entries
-        shown = [e if e.is_constant() else symbol for e, symbol in zip(entries, new, strict=True)]
+        shown = [e if e.is_constant() else self._symbols[i] for e in value.nonzeros() for i in (self.append(e),)]
         return ca.SX(value.sparsity(), ca.vertcat(ca.SX(0, 1), *shown))
-
-    def append(self, value: Any) -> int:
-        """Append a number, and return its index."""
-        self.add(value)
-        return len(self) - 1
 
     def add_dense(self, vector: Any) -> tuple[Any, int]:
         """Append all entries of a vector, also those that are zero; return its symbols, and the index of the first."""
@@ -97,49 +109,16 @@ class _Scalars:
             self._symbols += symbol.nonzeros()
             self._values += ca.SX(value).nonzeros()
 
-    @property
-    def symbols(self) -> Any:
-        """Symbols of all entries, as a column."""
-        return ca.vertcat(ca.SX(0, 1), *self._symbols)
 
-    @property
-    def values(self) -> Any:
-        """Expressions of all entries, as a column."""
-        return ca.vertcat(ca.SX(0, 1), *self._values)
-
-
-class _Lanes:
-    """Array in lanes of derivatives, of which those that are zero are left out.
-
-    Attributes
-    ----------
-    name : str
-        Name of the array.
-    """
-
-    def __init__(self, name: str) -> None:
-        """Create an empty array with this name. `add` fills it."""
-        self.name = name
-        self._symbols: list[Any] = []
-        self._values: list[Any] = []
+class _Lanes(_Entries):
+    """Array in lanes of derivatives, of which those that are zero are left out."""
 
     def add(self, value: Any) -> tuple[Any, int | None]:
         """Append a derivative; return its symbol and its index. They are zero and None if the derivative is zero."""
         if value.is_zero():
             return ca.SX(0), None
-        self._symbols.append(ca.SX.sym(f"{self.name}_{len(self._symbols)}"))
-        self._values.append(value)
-        return self._symbols[-1], len(self._symbols) - 1
-
-    @property
-    def symbols(self) -> Any:
-        """Symbols of all entries, as a column."""
-        return ca.vertcat(ca.SX(0, 1), *self._symbols)
-
-    @property
-    def values(self) -> Any:
-        """Expressions of all entries, as a column."""
-        return ca.vertcat(ca.SX(0, 1), *self._values)
+        index = self.append(value)
+        return self._symbols[index], index
 
 
 class FilterStages:
@@ -151,23 +130,26 @@ class FilterStages:
         Expressions of the filter.
     derivatives : bool
         Whether the derivatives of the filter state and of the log-likelihood are computed.
-    with_rounding : bool
-        Whether the array ``lost`` of `filter_plans.Plans.tangent` is computed, too.
+    single : bool
+        Whether the derivatives are in single precision. The array ``lost`` of `filter_plans.Plans.tangent` is then
+        computed, too.
+    stride : int
+        Numbers in each row of the array of the covariance.
     dm : SX (n, 1)
         Symbols of the derivatives of the mean, in lanes.
     lanes, scalars : set[str]
         Names of the arrays in lanes, and of the arrays of numbers that stages in lanes read, so far.
     """
 
-    def __init__(self, graphs: EkfGraphs, *, derivatives: bool = False, with_rounding: bool = False) -> None:
+    def __init__(self, graphs: EkfGraphs, *, derivatives: bool = False, single: bool = False) -> None:
         """Prepare the stages; `update` and `prediction` return them. The options are those of the class."""
-        self.graphs, self.derivatives, self.with_rounding = graphs, derivatives, with_rounding
+        self.graphs, self.derivatives, self.single = graphs, derivatives, single
         self.lanes: set[str] = {DERIVATIVE_OF_MEAN, DERIVATIVE_OF_COVARIANCE, "dp", "dll"} if derivatives else set()
-        self.lanes |= {"lost"} if with_rounding else set()
+        self.lanes |= {"lost"} if single else set()
         self.scalars: set[str] = set()
         n = graphs.n
-        self._stride = -(-n // jit.WIDTH) * jit.WIDTH
-        self._P = ca.SX.sym(COVARIANCE, n * self._stride)
+        self.stride = -(-n // jit.WIDTH) * jit.WIDTH
+        self._P = ca.SX.sym(COVARIANCE, n * self.stride)
         self.dm, self._dp = ca.SX.sym(DERIVATIVE_OF_MEAN, n), ca.SX.sym("dp", graphs.p.numel())
 
     @property
@@ -179,7 +161,7 @@ class FilterStages:
     def covariance(self) -> Any:
         """Covariance (n, n) as symbols of its array. Each row of the array has further numbers at its end."""
         n = self.graphs.n
-        return ca.horzcat(*[self._P[k * self._stride : k * self._stride + n] for k in range(n)])
+        return ca.horzcat(*[self._P[k * self.stride : k * self.stride + n] for k in range(n)])
 
     @property
     def state(self) -> Any:
@@ -206,44 +188,47 @@ class FilterStages:
         stages: list[Stage] = [stage(self.inputs, results, q)]
         if derivatives is not None:
             stages.append(derivatives.of_measurement)
-        positions = np.cumsum([0, *[s.H.nnz() + 2 for s in samples]]).tolist()
-        names = (f"PH{q}", f"dx{q}", f"gain{q}", f"seen{q}")
         PH, dx, seen = (ca.SX.sym(k, size) for k, size in zip(("PH", "dx", "seen"), self._sizes(samples), strict=True))
-        n, last = self.graphs.n, len(samples) - 1
+        at_PH, at_dx, at_gain, at_seen = f"PH{q}", f"dx{q}", f"gain{q}", f"seen{q}"
+        n, last, first = self.graphs.n, len(samples) - 1, 1
         for i, s in enumerate(known):
-            terms = tuple((positions[i] + 1 + k, column) for k, (_, column, _) in enumerate(_entries(s.H)))
+            terms = tuple((first + k, column) for k, (_, column, _) in enumerate(_entries(s.H)))
+            first += len(terms) + 2  # e, the entries of H, and R
             c = self.graphs.innovation(s, dx if i else ca.SX.zeros(n), PH[:n])
             change = PH[:n] * c.slope + (dx if i else 0)
-            inputs = {measured.name: measured.symbols, names[0]: PH} | ({names[1]: dx} if i else {})
-            results = {"ll": c.ll, names[2]: -c.inverse_variance * PH[:n]}
+            inputs = {measured.name: measured.symbols, at_PH: PH} | ({at_dx: dx} if i else {})
+            results = {"ll": c.ll, at_gain: -c.inverse_variance * PH[:n]}
             if i < last:
-                results[names[1]] = change
+                results[at_dx] = change
             else:
                 inputs[MEAN] = self.graphs.mean
                 results[MEAN] = self.graphs.mean + change
             if innovations:
-                inputs |= {names[3]: seen} if i else {}
+                inputs |= {at_seen: seen} if i else {}
                 so_far = ca.vertcat(seen[: 2 * i], c.e, c.S)
                 if i < last:
-                    results[names[3]] = ca.vertcat(so_far, ca.SX.zeros(2 * (last - i - 1)))
+                    results[at_seen] = ca.vertcat(so_far, ca.SX.zeros(2 * (last - i - 1)))
                 else:
                     results |= {f"e{q}": so_far[::2], f"S{q}": so_far[1::2]}
-            after: list[Stage] = []
+            before, after = list[Stage](), list[Stage]()
             if derivatives is not None:
-                inputs[COVARIANCE] = self._P
-                values, after = derivatives.of_scalar(i, c, PH[:n], dx)
+                values, before, after = derivatives.of_scalar(i, c, PH[:n], dx)
                 results |= values
             stages += [
-                CombinationStage("", measured.name, COVARIANCE, names[0], self._stride, ((),), (terms,), bit=q),
+                CombinationStage("", "", measured.name, COVARIANCE, at_PH, self.stride, ((),), (terms,), bit=q),
                 stage(inputs, results, q),
-                AddOuterProductStage(names[2], names[0], COVARIANCE, n, self._stride, q),
+                *before,
+                AddOuterProductStage(at_gain, at_PH, COVARIANCE, n, self.stride, q),
                 *after,
             ]
         return stages
 
     def prediction(self, results: dict[str, Any] | None = None) -> list[Stage]:
-        """Return the stages of the prediction to the next row, which may have further results."""
-        g, n, t, stride = self.graphs, self.graphs.n, self.graphs.transition, self._stride
+        """Return the stages of the prediction to the next row.
+
+        ``results``: expressions of further results at its start, by name of the array.
+        """
+        g, n, t, stride = self.graphs, self.graphs.n, self.graphs.transition, self.stride
         steps, w = _Scalars("steps"), _Scalars("w")
         Phi: list[list[tuple[int, int]]] = [[] for _ in range(n)]
         for position, (i, k, _) in enumerate(_entries(steps.add(t.Phi))):
@@ -252,20 +237,22 @@ class FilterStages:
         before = [(steps.append(t.Q[k, k]), k * (stride + 1)) for k in range(n) if not t.Q[k, k].is_zero()]
         after = [(steps.append(value), i * stride + j) for i, j, value in _entries(noise) if i <= j]
         derivatives = self._prediction_derivatives(w) if self.derivatives else []
-        inputs = self.inputs | ({COVARIANCE: self._P} if self.derivatives or results else {})
+        inputs = self.inputs | ({COVARIANCE: self._P} if results else {})
         values = {MEAN: g.mean_step[0], steps.name: steps.values} | ({w.name: w.values} if self.derivatives else {})
-        product = (CombinationStage("", steps.name, of, to, stride, ((),) * n, _frozen(Phi)) for of, to in (
-            (COVARIANCE, "half"), ("turned", COVARIANCE)))  # fmt: skip
-        first, second = product
+        first, second = (
+            CombinationStage("", "", steps.name, matrix, result, stride, ((),) * n, _frozen(Phi))
+            for matrix, result in ((COVARIANCE, "half"), ("turned", COVARIANCE))
+        )
         return [
             stage(inputs, values | (results or {})),
+            AddEntriesStage(steps.name, COVARIANCE, tuple(before)),  # P is P + Q from here on
             *derivatives,
-            AddEntriesStage(steps.name, COVARIANCE, tuple(before)),
             first,
             TransposeStage("half", "turned", n, stride),
             second,
             AddEntriesStage(steps.name, COVARIANCE, tuple(after)),
-            TransposeStage(COVARIANCE, COVARIANCE, n, stride),  # rounding makes no difference between both triangles
+            # Rounding would make both triangles differ, by more and more for an unstable boat.
+            TransposeStage(COVARIANCE, COVARIANCE, n, stride),
         ]
 
     def _prediction_derivatives(self, w: _Scalars) -> list[Stage]:
@@ -282,12 +269,9 @@ class FilterStages:
         dPhi = ca.sparsify(dT + dA2 + 4 / 3 * (dA @ A2 + A @ dA2))
         # terms of each row of the result, as in `CombinationStage`
         of_Phi, of_T, halves, wholes = ([list[tuple[int, int]]() for _ in range(n)] for _ in range(4))
-        spread = dict[int, int]()  # first index of the row of P + Q, by number of the row
         for i, k, value in _entries(dPhi):
             if (index := lanes.add(value)[1]) is not None:
-                if k not in spread:
-                    spread[k] = w.add_dense((self.covariance + t.Q)[k, :])[1]
-                of_Phi[i].append((index, spread[k]))
+                of_Phi[i].append((index, k * self.stride))
         diagonal: list[tuple[int, int]] = []
         for j, k in enumerate(noisy):
             column, first = w.add_dense(t.T[:, k])
@@ -302,15 +286,18 @@ class FilterStages:
             first = len(w)
             for position, (i, k, _) in enumerate(_entries(w.add(matrix))):
                 terms[i].append((first + position, k))
-        arrays, dP = (lanes.name, w.name), DERIVATIVE_OF_COVARIANCE
+        dP, (rows, copied) = DERIVATIVE_OF_COVARIANCE, self.covariance_of_lanes(None)
         self.lanes |= {lanes.name, "dhalf", "dproduct"}
         self.scalars.add(w.name)
         noise = [AddEntriesStage(lanes.name, dP, tuple(diagonal))] if diagonal else []
         return [
             self.stage_in_lanes(w, {DERIVATIVE_OF_MEAN: dm, lanes.name: lanes.values}, None),
             *noise,
-            CombinationStage(*arrays, dP, "dhalf", n, _frozen(of_Phi), _frozen(halves), transposed=True),
-            CombinationStage(*arrays, "dhalf", "dproduct", n, _frozen(of_T), _frozen(wholes)),
+            *copied,
+            CombinationStage(
+                lanes.name, rows, w.name, dP, "dhalf", n, _frozen(of_Phi), _frozen(halves), transposed=True
+            ),
+            CombinationStage(lanes.name, w.name, w.name, "dhalf", "dproduct", n, _frozen(of_T), _frozen(wholes)),
             AddTransposedStage("dproduct", dP, n),
             *noise,
         ]
@@ -329,13 +316,20 @@ class FilterStages:
         w.add_known(symbols, needed)
         return ca.densify(rest[0])
 
+    def covariance_of_lanes(self, bit: int | None) -> tuple[str, list[Stage]]:
+        """Return the name of the array of the covariance in the precision of the lanes, and the stages that fill it."""
+        if not self.single:
+            return COVARIANCE, []
+        self.scalars.add("P_single")
+        return "P_single", [SingleCopyStage(COVARIANCE, "P_single", self.graphs.n * self.stride, bit)]
+
     def stage_in_lanes(self, w: _Scalars, results: dict[str, Any], bit: int | None) -> Stage:
         """Return the stage that computes results from the derivatives of the mean, the directions and ``w``."""
         return stage({DERIVATIVE_OF_MEAN: self.dm, "dp": self._dp, w.name: w.symbols}, results, bit)
 
     def _sizes(self, samples: Sequence[Sample]) -> tuple[int, int, int]:
         """Return the sizes of the arrays between the scalars of an update: covariance times H', change, innovations."""
-        return self._stride, self.graphs.n, 2 * (len(samples) - 1)
+        return self.stride, self.graphs.n, 2 * (len(samples) - 1)
 
 
 class _UpdateDerivatives:
@@ -365,8 +359,10 @@ class _UpdateDerivatives:
         stages.lanes |= {lanes.name, f"dPH{q}", f"a{q}", f"v{q}"} | between
         stages.scalars.add(w.name)
 
-    def of_scalar(self, i: int, c: ScalarUpdate, PH: Any, dx: Any) -> tuple[dict[str, Any], list[Stage]]:
+    def of_scalar(self, i: int, c: ScalarUpdate, PH: Any, dx: Any) -> tuple[dict[str, Any], list[Stage], list[Stage]]:
         """Return the numbers that the derivatives of the scalar i take, by name of their array, and the stages.
+
+        The first stages run before the covariance changes.
 
         Parameters
         ----------
@@ -385,7 +381,7 @@ class _UpdateDerivatives:
         H = w.add(c.sample.H).nonzeros()
         by_scalars = tuple(enumerate(columns))
         by_lanes = tuple(
-            (index, w.add_dense(self._of.covariance[column, :])[1])
+            (index, column * self._of.stride)
             for column, (_, index) in zip(columns, slopes, strict=True)
             if index is not None
         )
@@ -408,13 +404,14 @@ class _UpdateDerivatives:
             results |= {DERIVATIVE_OF_MEAN: self._of.dm + change, f"v{q}": so_far}
         self._of.scalars.add(w.name)
         dP = DERIVATIVE_OF_COVARIANCE
-        stages: list[Stage] = [
-            CombinationStage(lanes.name, w.name, dP, f"dPH{q}", n, (by_lanes,), (by_scalars,), bit=q),
+        rows, before = self._of.covariance_of_lanes(q) if by_lanes else (w.name, [])
+        product = CombinationStage(lanes.name, rows, w.name, dP, f"dPH{q}", n, (by_lanes,), (by_scalars,), bit=q)
+        after: list[Stage] = [
             stage(inputs | {w.name: w.symbols}, results, q),
             AddProductsStage(f"a{q}", w.name, first_PH, dP, n, q),
         ]
-        stages += [GramStage(f"v{q}", "fisher", 2 * (last + 1), q)] if i == last else []
-        return {w.name: w.values}, stages
+        after += [GramStage(f"v{q}", "fisher", 2 * (last + 1), q)] if i == last else []
+        return {w.name: w.values}, [*before, product], after
 
     def _gain_derivatives(self, c: ScalarUpdate, w: _Scalars, de: Any, dS: Any) -> tuple[Any, Any, Any, Any]:
         """Return slope and its derivative, and the factor q of the covariance's update and its derivative.
@@ -431,7 +428,7 @@ class _UpdateDerivatives:
         """Return the summed results of a scalar measurement by name: derivative of the log-likelihood, and rounding."""
         by_S = w.add(0.5 * (c.e * c.slope - 1) / c.S)
         results = {"dll": by_S * dS - w.add(c.slope) * de}
-        if self._of.with_rounding:
+        if self._of.single:
             results["lost"] = (dS * w.add(1 / c.sample.R)) ** 2
         return results
 

@@ -22,6 +22,7 @@ from seatrial.ident.engine.loop_plan import (
     MatrixStage,
     Plan,
     ProductStage,
+    SingleCopyStage,
     TransposeStage,
 )
 from seatrial.ident.numerics import Array
@@ -139,6 +140,8 @@ def _run_matrix_stage(stage: MatrixStage, now: Mapping[str, Array]) -> None:
         into[:] = (square + square.swapaxes(1, 2)).reshape(into.shape)
     elif isinstance(stage, AddOuterProductStage):
         into += np.outer(now[stage.column], now[stage.row]).ravel()
+    elif isinstance(stage, SingleCopyStage):
+        into[:] = now[stage.matrix]
     elif isinstance(stage, TransposeStage):
         n, square = stage.n, now[stage.matrix].reshape(stage.n, stage.stride)[:, : stage.n]
         mirrored = np.triu(square) + np.triu(square, 1).T if stage.result == stage.matrix else square.T
@@ -162,7 +165,7 @@ def _run_combination_stage(stage: CombinationStage, now: Mapping[str, Array]) ->
     found = np.zeros((len(matrix), len(stage.by_scalars), n, matrix.shape[2]))
     for r, (first, second) in enumerate(zip(stage.by_lanes, stage.by_scalars, strict=True)):
         for factor, at in first:
-            found[:, r] += now[stage.lanes][:, factor, None] * scalars[None, at : at + n, None]
+            found[:, r] += now[stage.lanes][:, factor, None] * now[stage.rows][None, at : at + n, None]
         for factor, line in second:
             found[:, r] += scalars[factor] * matrix[:, line * n : (line + 1) * n]
     into[...] = (found.swapaxes(1, 2) if stage.transposed else found).reshape(into.shape)

@@ -233,8 +233,8 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
         return None
     table = json.loads(content)
     sets = {field: frozenset(table[field]) for field in ("rows", "lanes", "carried", "grams", "single")}
-    lists = {field: tuple(table[field]) for field in ("summed", "routines")}
-    layout = Layout(sizes=table["sizes"], width=table["width"], **lists, **sets)
+    summed, routines = (tuple(table[field]) for field in ("summed", "routines"))
+    layout = Layout(sizes=table["sizes"], summed=summed, width=table["width"], routines=routines, **sets)
     return layout, str(table["code"])
 
 

@@ -42,6 +42,7 @@ from seatrial.ident.engine.loop_plan import (
     MatrixStage,
     Plan,
     ProductStage,
+    SingleCopyStage,
     Stage,
     TransposeStage,
 )
@@ -82,13 +83,6 @@ ZERO, ONE = _hexadecimal_literal(0.0), _hexadecimal_literal(1.0)
 # between registers and the stack in the meantime. In a new block it is loaded again from its array. A shorter block
 # moves more intermediate results to the stack.
 BLOCK_LINES = 500
-
-
-def _load(name: str, kind: str, wanted: str) -> list[str]:
-    """Return lines of LLVM IR that load ``name`` of the type ``kind`` from ``name.p`` and convert it to ``wanted``."""
-    if kind == wanted:
-        return [f"{name} = load {kind}, ptr {name}.p, align 4"]
-    return [f"{name}.0 = load {kind}, ptr {name}.p, align 4", f"{name} = fpext {kind} {name}.0 to {wanted}"]
 
 
 def _pointer_arguments(names: Iterable[str], attribute: str = "") -> str:
@@ -388,65 +382,27 @@ class LlvmEmitter:
     def _write_gram(self, stage: GramStage) -> None:
         """Write a Gram stage, which adds the inner products between all lanes of an array to a matrix.
 
-        It is written as a function, and its call for all pairs of groups of lanes on and above the diagonal.
+        It is the call of a routine for all pairs (a, b) of groups of lanes on and above the diagonal.
         """
-        q = self.stage_index
-        self._write_gram_function(stage)
-        call = (
-            f"call void @stage{q}(i64 %a{q}, i64 %b{q}, i64 %groups, "
-            f"{_pointer_arguments([stage.source, stage.result])})"
-        )
+        q, width, kind = self.stage_index, self.plan.width, matrix_routines.ADD_GRAM
+        name = matrix_routines.routine_name(kind, stage.entries, width, self._number_of(stage.source))
+        self.declarations.add(matrix_routines.declaration(kind, name))
+        self.routines.add(name)
+        source, block = self._array_type(stage.source), f"[{width * width} x double]"
+        body = [
+            f"%left{q}.first = mul i64 %a{q}, {stage.entries}",
+            f"%left{q} = getelementptr {source}, ptr %{stage.source}, i64 %left{q}.first",
+            f"%right{q}.first = mul i64 %b{q}, {stage.entries}",
+            f"%right{q} = getelementptr {source}, ptr %{stage.source}, i64 %right{q}.first",
+            f"%line{q} = mul i64 %a{q}, %groups",
+            f"%block{q}.first = add i64 %line{q}, %b{q}",
+            f"%block{q} = getelementptr {block}, ptr %{stage.result}, i64 %block{q}.first",
+            f"call void @{name}(ptr %left{q}, ptr %right{q}, ptr %block{q})",
+        ]
         outer, self.loop_lines = self.loop_lines, []
-        self._write_group_loop(f"loop.a{q}", f"b{q}", f"%a{q}", [call], f"tail{q}")
+        self._write_group_loop(f"loop.a{q}", f"b{q}", f"%a{q}", body, f"tail{q}")
         inner, self.loop_lines = self.loop_lines, outer
         self._write_group_loop(f"do{q}", f"a{q}", "0", [*inner, f"tail{q}:"], f"end{q}", tail=f"tail{q}")
-
-    def _write_gram_function(self, stage: GramStage) -> None:
-        """Write the function of a Gram stage, which processes one pair (a, b) of groups of lanes.
-
-        It adds the inner products of each lane of group a with each lane of group b to a block of the result matrix.
-        """
-        width, vector, number = self.plan.width, self._type_text(True), self._number_of(stage.source)
-        source = f"<{width} x {number}>"
-        lines = [
-            f"%left = mul i64 %a, {stage.entries * width}",
-            f"%right = mul i64 %b, {stage.entries}",
-            "%line = mul i64 %a, %groups",
-            "%block = add i64 %line, %b",
-            f"%first = mul i64 %block, {width}",
-            f"%scalars = getelementptr {number}, ptr %{stage.source}, i64 %left",
-            f"%vectors = getelementptr {source}, ptr %{stage.source}, i64 %right",
-            f"%sums = getelementptr {vector}, ptr %{stage.result}, i64 %first",
-        ]
-        for e in range(stage.entries):
-            lines += [
-                f"%b{e}.p = getelementptr {source}, ptr %vectors, i64 {e}",
-                *_load(f"%b{e}", source, vector),
-            ]
-        for i in range(width):
-            lines += [
-                f"%s{i}.p = getelementptr {vector}, ptr %sums, i64 {i}",
-                f"%s{i}.0 = load {vector}, ptr %s{i}.p, align 8",
-            ]
-            for e in range(stage.entries):
-                t = f"{i}.{e}"
-                lines += [
-                    f"%a{t}.p = getelementptr {number}, ptr %scalars, i64 {e * width + i}",
-                    *_load(f"%a{t}", number, "double"),
-                    f"%i{t} = insertelement {vector} poison, double %a{t}, i32 0",
-                    f"%v{t} = shufflevector {vector} %i{t}, {vector} poison, <{width} x i32> zeroinitializer",
-                    f"%m{t} = fmul {FAST} {vector} %v{t}, %b{e}",
-                    f"%s{i}.{e + 1} = fadd {FAST} {vector} %s{i}.{e}, %m{t}",
-                ]
-            lines.append(f"store {vector} %s{i}.{stage.entries}, ptr %s{i}.p, align 8")
-        arguments = _pointer_arguments([stage.source, stage.result], "noalias")
-        self.function_lines += [
-            f"define internal void @stage{self.stage_index}(i64 %a, i64 %b, i64 %groups, "
-            f"{arguments}) noinline {FRAME} {{",
-            *lines,
-            "ret void",
-            "}",
-        ]
 
     def _write_matrix_stage(self, stage: MatrixStage) -> None:
         """Write a stage on matrices: the call of a routine, or additions of entries.
@@ -471,7 +427,7 @@ class LlvmEmitter:
         The computation of addresses is appended to ``body``, and the routine is declared. Other stages than those with
         a routine are not allowed.
         """
-        q, n, width = self.stage_index, stage.n, self.plan.width  # type: ignore[union-attr]
+        q, n, width = self.stage_index, getattr(stage, "n", 0), self.plan.width
         here = partial(self._part_address, body)
         if isinstance(stage, CombinationStage):
             if stage.result not in self.plan.lanes:
@@ -485,7 +441,13 @@ class LlvmEmitter:
             self.function_lines.append(f"@table{q} = internal constant [{len(table)} x i32] [{content}]")
             # without lanes, a row of the result is n vectors
             by_row = by_row if stage.result in self.plan.lanes else n
-            arrays = (stage.lanes or stage.matrix, stage.scalars, stage.matrix, stage.result)
+            arrays = (
+                stage.lanes or stage.matrix,
+                stage.rows or stage.scalars,
+                stage.scalars,
+                stage.matrix,
+                stage.result,
+            )
             kind, arguments = matrix_routines.COMBINE, [here(name, str(k)) for k, name in enumerate(arrays)]
             arguments += [f"i64 {by_row}", f"i64 {by_entry}", f"ptr @table{q}", f"i64 {len(stage.by_scalars)}"]
         elif isinstance(stage, AddProductsStage):
@@ -496,13 +458,16 @@ class LlvmEmitter:
         elif isinstance(stage, AddOuterProductStage):
             kind, n, width = matrix_routines.ADD_OUTER_PRODUCT, stage.stride // jit.WIDTH, jit.WIDTH
             arguments = [here(stage.result), here(stage.column), here(stage.row), f"i64 {stage.n}"]
+        elif isinstance(stage, SingleCopyStage):
+            kind, n, width = matrix_routines.COPY_TO_SINGLE, stage.size // jit.WIDTH, jit.WIDTH
+            arguments = [here(stage.result), here(stage.matrix)]
         else:
             assert isinstance(stage, TransposeStage)
             kind, width = matrix_routines.MIRROR, stage.stride
             arguments = [here(stage.result)]
             if stage.result != stage.matrix:
                 kind, arguments = matrix_routines.TRANSPOSE, [*arguments, here(stage.matrix)]
-        name = matrix_routines.routine_name(kind, n, width, self._number_of(stage.result))
+        name = matrix_routines.routine_name(kind, n, width, self._number_of(stage.arguments[-1]))
         self.declarations.add(matrix_routines.declaration(kind, name))
         return name, arguments
 

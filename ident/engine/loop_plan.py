@@ -124,8 +124,8 @@ class ProductStage:
 class CombinationStage:
     """Stage of a plan that combines rows of matrices linearly, in each group of lanes if the matrices are in lanes.
 
-    Row r of the result is the sum of two kinds of terms: an entry of ``lanes`` times a row of numbers of ``scalars``,
-    and a number of ``scalars`` times a row of ``matrix``. Products with matrices that have few nonzero entries, some of
+    Row r of the result is the sum of two kinds of terms: an entry of ``lanes`` times a row of numbers of ``rows``, and
+    a number of ``scalars`` times a row of ``matrix``. Products with matrices that have few nonzero entries, some of
     them in lanes, consist of such terms. Without lanes, there are only terms of the second kind, and ``n`` is a
     multiple of `jit.WIDTH`, so that a vector holds neighbouring entries of a row.
 
@@ -133,8 +133,10 @@ class CombinationStage:
     ----------
     lanes : str
         Name of an array in lanes: the factors of the first kind of terms. Empty without such terms.
+    rows : str
+        Name of an array without lanes: the rows of the first kind of terms. Empty without such terms.
     scalars : str
-        Name of an array without lanes: rows of the first kind of terms, and factors of the second kind.
+        Name of an array without lanes: the factors of the second kind of terms.
     matrix : str
         Name of the array of a matrix (n_lines, n), by matrix rows.
     result : str
@@ -142,8 +144,8 @@ class CombinationStage:
     n : int
         Number of columns.
     by_lanes : tuple[tuple[tuple[int, int], ...], ...]
-        For each row of the result, the terms of the first kind: index in ``lanes``, and index in ``scalars`` of the
-        first of n numbers.
+        For each row of the result, the terms of the first kind: index in ``lanes``, and index in ``rows`` of the first
+        of n numbers.
     by_scalars : tuple[tuple[tuple[int, int], ...], ...]
         For each row of the result, the terms of the second kind: index in ``scalars``, and number of the row of
         ``matrix``.
@@ -155,6 +157,7 @@ class CombinationStage:
     """
 
     lanes: str
+    rows: str
     scalars: str
     matrix: str
     result: str
@@ -173,7 +176,7 @@ class CombinationStage:
     @property
     def arguments(self) -> tuple[str, ...]:
         """Names of the arrays that the stage reads."""
-        return (*((self.lanes,) if self.lanes else ()), self.scalars, self.matrix)
+        return (*((self.lanes, self.rows) if self.lanes else ()), self.scalars, self.matrix)
 
     @property
     def steps(self) -> tuple[int, int]:
@@ -350,10 +353,46 @@ class TransposeStage:
         return (self.matrix,)
 
 
+@dataclass(frozen=True)
+class SingleCopyStage:
+    """Stage of a plan that copies a matrix without lanes to an array in single precision.
+
+    Attributes
+    ----------
+    matrix, result : str
+        Names of the arrays of the matrix and of the copy.
+    size : int
+        Number of entries, a multiple of `jit.WIDTH`.
+    bit : int or None
+        The stage runs only in rows of the record whose mask has this bit (0 to 31) set. None: in every row.
+    """
+
+    matrix: str
+    result: str
+    size: int
+    bit: int | None = None
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Number of entries of both arrays, by name."""
+        return {self.matrix: self.size, self.result: self.size}
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Names of the arrays that the stage reads."""
+        return (self.matrix,)
+
+
 Terms = tuple[tuple[tuple[int, int], ...], ...]
 # Stages on matrices. A routine that is compiled once for all models does the work of most of them (`matrix_routines`).
 MatrixStage = (
-    CombinationStage | AddProductsStage | AddTransposedStage | AddEntriesStage | AddOuterProductStage | TransposeStage
+    CombinationStage
+    | AddProductsStage
+    | AddTransposedStage
+    | AddEntriesStage
+    | AddOuterProductStage
+    | TransposeStage
+    | SingleCopyStage
 )
 Stage = ExpressionStage | GramStage | ProductStage | MatrixStage
 

@@ -21,6 +21,7 @@ FLAGS = "contract"  # a product and a sum may become one instruction
 ROW_ENTRIES = 24 if jit.WIDTH == 8 else 12
 COMBINE, ADD_PRODUCTS, ADD_TRANSPOSED = "combine", "add_products", "add_transposed"
 ADD_OUTER_PRODUCT, TRANSPOSE, MIRROR = "add_outer_product", "transpose", "mirror"
+COPY_TO_SINGLE, ADD_GRAM = "copy_to_single", "add_gram"
 _lock = threading.Lock()
 
 
@@ -32,7 +33,8 @@ def routine_name(kind: str, n: int, width: int, number: str) -> str:
     kind : str
         One of the constants of this module, such as ``combine``.
     n : int
-        Number of columns of the matrices, in vectors; for ``transpose`` and ``mirror``, in numbers.
+        Number of columns of the matrices, in vectors; for ``transpose`` and ``mirror``, in numbers. For ``add_gram``,
+        number of entries; for ``copy_to_single``, number of vectors.
     width : int
         Numbers in a vector; for ``transpose`` and ``mirror``, the distance from a row to the next.
     number : str
@@ -64,14 +66,16 @@ def address_of(name: str) -> int:
 
 _ARGUMENTS = {
     COMBINE: (
-        "ptr %lanes", "ptr %scalars", "ptr %matrix", "ptr %result", "i64 %row.step", "i64 %entry.step", "ptr %table",
-        "i64 %rows",
+        "ptr %lanes", "ptr %lines", "ptr %scalars", "ptr %matrix", "ptr %result", "i64 %row.step", "i64 %entry.step",
+        "ptr %table", "i64 %rows",
     ),
     ADD_PRODUCTS: ("ptr %matrix", "ptr %lanes", "ptr %scalars"),
     ADD_TRANSPOSED: ("ptr %result", "ptr %matrix"),
     ADD_OUTER_PRODUCT: ("ptr %matrix", "ptr %column", "ptr %line", "i64 %rows"),
     TRANSPOSE: ("ptr %result", "ptr %matrix"),
     MIRROR: ("ptr %matrix",),
+    COPY_TO_SINGLE: ("ptr %result", "ptr %matrix"),
+    ADD_GRAM: ("ptr %left", "ptr %right", "ptr %result"),
 }  # fmt: skip
 
 
@@ -97,11 +101,12 @@ def _product_added(name: str, vector: str, a: str, b: str, to: str) -> list[str]
 def _combine_ir(name: str, n: int, width: int, number: str) -> str:
     """Return the IR of the routine that combines rows of matrices linearly.
 
-    Row r of the result is the sum of vectors of ``lanes`` times rows of scalars, and of scalars times rows of ``matrix``,
-    which consist of vectors. For each row of the result ``table`` has the numbers of terms of both kinds, then the terms of
-    the first kind, then those of the second kind. A term of the first kind has the index in ``lanes`` and the index in
-    ``scalars`` of the row's first entry. A term of the second kind has the index in ``scalars`` and the number of the
-    row of ``matrix``. Entry j of row r of the result is written to the entry ``r row.step + j entry.step``.
+    Row r of the result is the sum of vectors of ``lanes`` times rows of numbers of ``lines``, and of numbers of
+    ``scalars`` times rows of ``matrix``, which consist of vectors. For each row of the result ``table`` has the numbers
+    of terms of both kinds, then the terms of the first kind, then those of the second kind. A term of the first kind
+    has the index in ``lanes``, and the index in ``lines`` of the row's first number. A term of the second kind has the
+    index in ``scalars``, and the number of the row of ``matrix``. Entry j of row r of the result is written to the
+    entry ``r row.step + j entry.step``.
     """
     vector, align = f"<{width} x {number}>", 4 if number == "float" else 8
     lines = [
@@ -136,7 +141,7 @@ def _combine_ir(name: str, n: int, width: int, number: str) -> str:
             *_term_indices("i", b),
             f"%lane.{b}.p = getelementptr {vector}, ptr %lanes, i64 %i.{b}.a",
             f"%lane.{b} = load {vector}, ptr %lane.{b}.p, align {align}",
-            f"%line.{b} = getelementptr {number}, ptr %scalars, i64 %i.{b}.b",
+            f"%line.{b} = getelementptr {number}, ptr %lines, i64 %i.{b}.b",
         ]
         for j in entries:
             lines += [
@@ -333,6 +338,65 @@ def _mirror_ir(name: str, n: int, stride: int, number: str) -> str:
     return _definition(MIRROR, name, lines)
 
 
+def _copy_to_single_ir(name: str, n: int, width: int, number: str) -> str:
+    """Return the IR of the routine that copies n vectors of doubles to an array in single precision."""
+    vector, single = f"<{width} x {number}>", f"<{width} x float>"
+    return _definition(
+        COPY_TO_SINGLE,
+        name,
+        [
+            "entry:",
+            "br label %next",
+            "next:",
+            "%i = phi i64 [0, %entry], [%i.next, %next]",
+            f"%a.p = getelementptr {vector}, ptr %matrix, i64 %i",
+            f"%a = load {vector}, ptr %a.p, align 8",
+            f"%s = fptrunc {vector} %a to {single}",
+            f"%s.p = getelementptr {single}, ptr %result, i64 %i",
+            f"store {single} %s, ptr %s.p, align 4",
+            "%i.next = add i64 %i, 1",
+            f"%more = icmp slt i64 %i.next, {n}",
+            "br i1 %more, label %next, label %exit",
+            "exit:",
+        ],
+    )
+
+
+def _add_gram_ir(name: str, n: int, width: int, number: str) -> str:
+    """Return the IR of the routine that adds inner products of lanes to a block (width, width) of doubles.
+
+    ``left`` and ``right`` have n vectors. Element (i, j) of the block is increased by the sum over the vectors of (lane
+    i of ``left``) times (lane j of ``right``).
+    """
+    sums, source, align = f"<{width} x double>", f"<{width} x {number}>", 4 if number == "float" else 8
+    lines = ["entry:"]
+    for e in range(n):
+        lines += [
+            f"%b{e}.p = getelementptr {source}, ptr %right, i64 {e}",
+            *_load_double(f"%b{e}", source, sums, align),
+        ]
+    lines += ["br label %lane", "lane:", "%i = phi i64 [0, %entry], [%i.next, %lane]"]
+    lines += [f"%s.p = getelementptr {sums}, ptr %result, i64 %i", f"%s0 = load {sums}, ptr %s.p, align 8"]
+    for e in range(n):
+        lines += [
+            f"%at{e} = add i64 %i, {e * width}",
+            f"%a{e}.p = getelementptr {number}, ptr %left, i64 %at{e}",
+            *_load_double(f"%a{e}", number, "double", align),
+            *_repeated(f"%v{e}", f"%a{e}", sums, width, "double"),
+            *_product_added(f"%s{e + 1}", sums, f"%v{e}", f"%b{e}", f"%s{e}"),
+        ]
+    lines += [f"store {sums} %s{n}, ptr %s.p, align 8", "%i.next = add i64 %i, 1"]
+    lines += [f"%more = icmp slt i64 %i.next, {width}", "br i1 %more, label %lane, label %exit", "exit:"]
+    return _definition(ADD_GRAM, name, lines)
+
+
+def _load_double(name: str, kind: str, wanted: str, align: int) -> list[str]:
+    """Return lines of IR that load ``name`` of the type ``kind`` from ``name.p``, and convert it to ``wanted``."""
+    if kind == wanted:
+        return [f"{name} = load {kind}, ptr {name}.p, align {align}"]
+    return [f"{name}.0 = load {kind}, ptr {name}.p, align {align}", f"{name} = fpext {kind} {name}.0 to {wanted}"]
+
+
 _WRITERS = {
     COMBINE: _combine_ir,
     ADD_PRODUCTS: _add_products_ir,
@@ -340,4 +404,6 @@ _WRITERS = {
     ADD_OUTER_PRODUCT: _add_outer_product_ir,
     TRANSPOSE: _transpose_ir,
     MIRROR: _mirror_ir,
+    COPY_TO_SINGLE: _copy_to_single_ir,
+    ADD_GRAM: _add_gram_ir,
 }
