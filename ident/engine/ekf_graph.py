@@ -231,7 +231,7 @@ class EkfGraphs:
     @property
     def has_matrix_form(self) -> bool:
         """Whether the kernels of the filter have the covariance as a matrix, with stages of `filter_stages`."""
-        return self.covariance and not self.joseph and not self.model.second_order
+        return self.covariance and not self.joseph
 
     @property
     def mean(self) -> Any:
@@ -313,11 +313,35 @@ class EkfGraphs:
         f_xx is the matrix of second derivatives of f by the states. The term is the amount by which the mean of the
         rate exceeds the rate at the mean, for states with the covariance P (n, n), to second order.
         """
-        return self._evaluate_at_midpoint(
-            lambda slopes, x: ca.vertcat(
-                *[ca.sum1(ca.sum2(ca.jacobian(slopes[i, :].T, x) * P)) / 2 for i in range(self.n)]
-            )
-        )
+        term = ca.SX.zeros(self.n)
+        for i, j, k, curvature in self.curvatures:
+            term[i] += curvature * P[j, k]
+        return term
+
+    @cached_property
+    def curvatures(self) -> tuple[tuple[int, int, int, Any], ...]:
+        """Second derivatives of the rates by the states at the midpoint of the interval, without those that are zero.
+
+        They are (i, j, k, expression) with j <= k: the factor of the element (j, k) of a covariance P in
+        ``1/2 tr(P f_xx)`` for the rate i.
+        """
+        found: list[tuple[int, int, int]] = []
+
+        def second_derivatives(slopes: Any, x: Any) -> Any:
+            """Return the factors as a column, and append their indices to ``found``."""
+            values = []
+            for i in range(self.n):
+                by_states = ca.jacobian(slopes[i, :].T, x)
+                for k in range(self.n):
+                    for j in range(k + 1):
+                        value = by_states[j, k] / 2 if j == k else (by_states[j, k] + by_states[k, j]) / 2
+                        if not value.is_zero():
+                            found.append((i, j, k))
+                            values.append(value)
+            return ca.vertcat(ca.SX(0, 1), *values)
+
+        values = self._evaluate_at_midpoint(second_derivatives)
+        return tuple((*indices, values[k]) for k, indices in enumerate(found))
 
     def _evaluate_at_midpoint(self, expression: Callable[[Any, Any], Any]) -> Any:
         """Return ``expression(J, x)`` at the midpoint of the interval.

@@ -1,15 +1,15 @@
 """Stages of the extended Kalman filter and of its forward sensitivities, matrix by matrix.
 
 A stage of scalar expressions computes what depends on the model. Routines that are compiled once for all models do the
-work on the covariance P and on its derivatives. Joseph's form of the update and the second-order filter have other
-equations.
+work on the covariance P and on its derivatives. Joseph's form of the update has other equations.
 
 The update by one scalar measurement with the predicted value z, its derivatives H by the states, and the variance R is
 
     PH = P H',   S = H PH + R,   dx += PH slope(e, S),   P -= q(e, S) PH PH'.
 
 The covariance after the prediction is ``Phi (P + Q) Phi' + T Q T' + Q``. It is computed as Phi times the transpose of
-``Phi (P + Q)``.
+``Phi (P + Q)``. The second-order filter then adds products of second derivatives of the rates and of the covariance,
+before and after the prediction, to the mean.
 
 The sensitivities are the derivatives of the filter state by chosen parameters, one in each lane. Those of the mean are
 the vector dm, those of the covariance P the matrix dP. Those of the update are
@@ -236,9 +236,15 @@ class FilterStages:
         noise = ca.sparsify(t.T @ t.Q @ t.T.T + t.Q)
         before = [(steps.append(t.Q[k, k]), k * (stride + 1)) for k in range(n) if not t.Q[k, k].is_zero()]
         after = [(steps.append(value), i * stride + j) for i, j, value in _entries(noise) if i <= j]
-        derivatives = self._prediction_derivatives(w) if self.derivatives else []
-        inputs = self.inputs | ({COVARIANCE: self._P} if results else {})
+        curvatures = _Scalars("curvatures") if g.model.second_order else None
+        factors = [] if curvatures is None else [curvatures.add(g.h / 2 * value) for *_, value in g.curvatures]
+        derivatives, last = self._prediction_derivatives(w) if self.derivatives else ([], [])
         values = {MEAN: g.mean_step[0], steps.name: steps.values} | ({w.name: w.values} if self.derivatives else {})
+        if curvatures is not None:
+            known = [curvatures.add(self.covariance[j, k]) for _, j, k, _ in g.curvatures]
+            values[curvatures.name] = curvatures.values
+            last = [self._curvature_stage(curvatures, factors, known), *last]
+        inputs = self.inputs | ({COVARIANCE: self._P} if results or curvatures is not None else {})
         first, second = (
             CombinationStage("", "", steps.name, matrix, result, stride, ((),) * n, _frozen(Phi))
             for matrix, result in ((COVARIANCE, "half"), ("turned", COVARIANCE))
@@ -253,15 +259,42 @@ class FilterStages:
             AddEntriesStage(steps.name, COVARIANCE, tuple(after)),
             # Rounding would make both triangles differ, by more and more for an unstable boat.
             TransposeStage(COVARIANCE, COVARIANCE, n, stride),
+            *last,
         ]
 
-    def _prediction_derivatives(self, w: _Scalars) -> list[Stage]:
-        """Return the stages of the derivatives of the prediction; the numbers that they read are appended to ``w``."""
+    def _curvature_stage(self, curvatures: _Scalars, factors: Sequence[Any], before: Sequence[Any]) -> Stage:
+        """Return the stage of a second-order filter that changes the mean after the prediction of the covariance.
+
+        Parameters
+        ----------
+        curvatures
+            Array of `factors` and `before`.
+        factors, before : Sequence[SX]
+            Half of the interval times each of ``graphs.curvatures``, and the element of the covariance before the
+            prediction that belongs to it.
+        """
+        mean, sums = self.graphs.mean, []
+        change = ca.SX.zeros(self.graphs.n)
+        for (i, j, k, _), factor, P in zip(self.graphs.curvatures, factors, before, strict=True):
+            sums.append(P + self.covariance[j, k])
+            change[i] += factor * sums[-1]
+        results = {MEAN: mean + change} | ({"sums": ca.vertcat(ca.SX(0, 1), *sums)} if self.derivatives else {})
+        self.scalars |= {"sums"} if self.derivatives else set()
+        return stage({MEAN: mean, COVARIANCE: self._P, curvatures.name: curvatures.symbols}, results)
+
+    def _prediction_derivatives(self, w: _Scalars) -> tuple[list[Stage], list[Stage]]:
+        """Return the stages of the derivatives of the prediction, and those of a second-order filter after it.
+
+        The numbers that they read are appended to ``w``.
+        """
         g, n, t, lanes = self.graphs, self.graphs.n, self.graphs.transition, _Lanes("l")
         noisy = [k for k in range(n) if not t.Q[k, k].is_zero()]
         Q = ca.vertcat(ca.SX(0, 1), *[t.Q[k, k] for k in noisy])
-        moved = self.derivative(ca.vertcat(g.mean_step[0], *t.A.nonzeros(), Q), w)
-        dm, dA, dQ = moved[:n], moved[n : n + t.A.nnz()], moved[n + t.A.nnz() :]
+        curvatures = g.curvatures if g.model.second_order else ()
+        factors = ca.vertcat(ca.SX(0, 1), *[g.h / 2 * value for *_, value in curvatures])
+        moved = self.derivative(ca.vertcat(g.mean_step[0], *t.A.nonzeros(), Q, factors), w)
+        ends = np.cumsum([n, t.A.nnz(), len(noisy)]).tolist()
+        dm, dA, dQ, dfactors = (moved[a:b] for a, b in zip([0, *ends], [*ends, moved.numel()], strict=True))
         dA = ca.sparsify(ca.SX(t.A.sparsity(), dA))
         A, A2 = w.add(t.A), w.add(ca.sparsify(t.A @ t.A))
         dA2 = dA @ A + A @ dA
@@ -287,10 +320,12 @@ class FilterStages:
             for position, (i, k, _) in enumerate(_entries(w.add(matrix))):
                 terms[i].append((first + position, k))
         dP, (rows, copied) = DERIVATIVE_OF_COVARIANCE, self.covariance_of_lanes(None)
+        first_stages, last = self._curvature_derivatives(w, lanes, factors, dfactors) if curvatures else ([], [])
         self.lanes |= {lanes.name, "dhalf", "dproduct"}
         self.scalars.add(w.name)
         noise = [AddEntriesStage(lanes.name, dP, tuple(diagonal))] if diagonal else []
-        return [
+        stages: list[Stage] = [
+            *first_stages,
             self.stage_in_lanes(w, {DERIVATIVE_OF_MEAN: dm, lanes.name: lanes.values}, None),
             *noise,
             *copied,
@@ -301,6 +336,32 @@ class FilterStages:
             AddTransposedStage("dproduct", dP, n),
             *noise,
         ]
+        return stages, last
+
+    def _curvature_derivatives(
+        self, w: _Scalars, lanes: _Lanes, factors: Any, dfactors: Any
+    ) -> tuple[list[Stage], list[Stage]]:
+        """Return the stages in lanes of a second-order filter before and after the prediction of the covariance.
+
+        The first one keeps elements of the derivative of the covariance, the last one changes that of the mean.
+
+        Parameters
+        ----------
+        w, lanes
+            Arrays of the prediction, to which the factors of the curvatures and their derivatives are appended.
+        factors, dfactors : SX (n_curvatures, 1)
+            Half of the interval times each of ``graphs.curvatures``, and the derivatives.
+        """
+        n, indices = self.graphs.n, [(i, j, k) for i, j, k, _ in self.graphs.curvatures]
+        dP, before = ca.SX.sym("dP", n * n), ca.SX.sym("before", len(indices))
+        known, sums, changed = w.add(factors), ca.SX.sym("sums", len(indices)), ca.SX(self.dm)
+        for c, (i, j, k) in enumerate(indices):
+            changed[i] += lanes.add(dfactors[c])[0] * sums[c] + known[c] * (before[c] + dP[j * n + k])
+        self.lanes.add("dP_before")
+        kept = stage({DERIVATIVE_OF_COVARIANCE: dP}, {"dP_before": ca.vertcat(*[dP[j * n + k] for _, j, k in indices])})
+        inputs = {DERIVATIVE_OF_MEAN: self.dm, DERIVATIVE_OF_COVARIANCE: dP, "dP_before": before, "sums": sums}
+        inputs |= {w.name: w.symbols, lanes.name: lanes.symbols}
+        return [kept], [stage(inputs, {DERIVATIVE_OF_MEAN: changed})]
 
     def derivative(self, expression: Any, w: _Scalars) -> Any:
         """Return the derivative of an expression of the mean and the parameters, by the directions of the lanes.

@@ -785,6 +785,8 @@ class LlvmEmitter:
         For an array that passes from row to row in registers, nothing is written: the value is kept in ``new_values``.
         """
         if name in self.register_values:
+            # A later block must not load it again: its array in memory may have changed by then.
+            self.entry_of_value.pop(value.text, None)
             self.new_values[name, j] = value
             return
         number = self.number
