@@ -235,25 +235,33 @@ class NormalEquations:
         self.information, self.score = np.zeros((n, n)), np.zeros(n)
         self.blocks: list[Array] = []
 
-    def add(self, positions: Sequence[int], g: Array, e: Array, block: NDArray[np.int64]) -> None:
+    def add(self, positions: Sequence[int], g: Array | Sequence[Array], e: Array, block: NDArray[np.int64]) -> None:
         """Add the sensitivities of one record, or of one part of it, to the sums in place.
 
         Parameters
         ----------
         positions
             Indices of the columns of ``g`` among all columns.
-        g : Array (n_samples, n_columns)
-            Whitened sensitivities.
+        g : Array (n_samples, n_columns), or several such arrays
+            Whitened sensitivities. Several arrays are as one with all their columns. They are not joined, because the
+            copy takes longer than the products.
         e : Array (n_samples,)
             Whitened innovations.
         block : Array (n_samples,)
             Index of the block of time of each sample, not decreasing.
         """
-        at = np.asarray(positions)
-        self.information[np.ix_(at, at)] += g.T @ g
+        batches, at = [g] if isinstance(g, np.ndarray) else g, np.asarray(positions)
+        own = np.split(at, np.cumsum([batch.shape[1] for batch in batches])[:-1])
+        for i, (rows, left) in enumerate(zip(own, batches, strict=True)):
+            self.information[np.ix_(rows, rows)] += left.T @ left
+            for columns, right in zip(own[i + 1 :], batches[i + 1 :], strict=True):
+                product = left.T @ right
+                self.information[np.ix_(rows, columns)] += product
+                self.information[np.ix_(columns, rows)] += product.T
         edges = [*np.flatnonzero(np.append(True, np.diff(block) > 0)).tolist(), len(e)]
         sums = np.zeros((len(edges) - 1, len(self.names)))
-        sums[:, at] = [-(e[first:last] @ g[first:last]) for first, last in pairwise(edges)]
+        for columns, batch in zip(own, batches, strict=True):
+            sums[:, columns] = [-(e[first:last] @ batch[first:last]) for first, last in pairwise(edges)]
         self.score += sums.sum(axis=0)
         self.blocks.append(sums)
 
@@ -361,7 +369,7 @@ class SensitivityFilter:
 
 def propagate_sensitivities(
     carrier: SensitivityFilter, fitted: Array, columns: Iterable[SensitivityColumns], carried: list[Array]
-) -> tuple[Array, list[SensitivityColumns]]:
+) -> tuple[list[Array], list[SensitivityColumns]]:
     """Return the whitened sensitivities of the innovations to the fitted parameters, and then to every candidate.
 
     They are computed in batches of at most 96 columns, unless a single candidate, or the fitted parameters, have more.
@@ -380,8 +388,8 @@ def propagate_sensitivities(
 
     Returns
     -------
-    g : Array (n_samples, n_columns)
-        Whitened sensitivities.
+    g : list of Array (n_samples, n_columns)
+        Whitened sensitivities, batch by batch.
     candidates
         The candidates with an empty ``delta``. The sensitivities of the whole catalogue would fill the memory.
     """
@@ -402,7 +410,7 @@ def propagate_sensitivities(
         slim.append(replace(c, delta=c.delta[:0].copy()))
     done()
     carried[:] = ends
-    return np.concatenate(parts, axis=1), slim
+    return parts, slim
 
 
 @dataclass(frozen=True)

@@ -267,6 +267,18 @@ def test_block_robust_test_keeps_its_size_for_coloured_innovations() -> None:
     assert np.mean(np.array(block) < 0.5) == pytest.approx(0.5, abs=0.12)
 
 
+def test_batches_of_columns_add_as_one_array() -> None:
+    rng = np.random.default_rng(3)
+    g, e, block = rng.standard_normal((60, 5)), rng.standard_normal(60), np.arange(60) // 20
+    whole, batches = (NormalEquations([str(k) for k in range(6)]) for _ in range(2))
+    at = [0, 4, 1, 5, 2]
+    whole.add(at, g, e, block)
+    batches.add(at, [g[:, :2], g[:, 2:3], g[:, 3:]], e, block)
+    np.testing.assert_allclose(batches.information, whole.information, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(batches.score, whole.score, rtol=1e-12)
+    np.testing.assert_allclose(batches.blocks[0], whole.blocks[0], rtol=1e-12)
+
+
 def test_records_and_blocks_are_additive() -> None:
     rng = np.random.default_rng(1)
     g, e, t = rng.normal(size=(90, 3)), rng.normal(size=90), np.arange(90) * 0.5
