@@ -375,11 +375,11 @@ def _act_through_states(rowwise: VectorisedModel, value_set: Sequence[Array], m:
     x = np.tile(np.linspace(0.31, 0.57, n), (2, 1))
     x[1, -m:] += 0.1
     u = np.tile(np.linspace(0.43, 0.71, len(rowwise.model.inputs)), (2, 1))
-    signals = [rowwise(x, u, values) for values in value_set]
-    others = np.delete(signals[0], np.s_[n - m : n], axis=1)
+    others = np.delete(rowwise(x, u, value_set[0]), np.s_[n - m : n], axis=1)
     if np.array_equal(others[0], others[1], equal_nan=True):
         return [True, *(False for _ in value_set[1:])]
-    rates = [each[0, n - m : n] for each in signals]
+    same_row = np.zeros(len(value_set), dtype=np.int64)
+    rates = rowwise.rates(x[same_row], u[same_row], np.stack(value_set))[:, n - m :]
     return [True, *(not np.array_equal(rate, rates[0], equal_nan=True) for rate in rates[1:])]
 
 
