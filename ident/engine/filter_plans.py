@@ -33,8 +33,9 @@ class Plans:
     """Plans of the kernels of one filter. Each method builds one plan, a description of a kernel before compilation.
 
     Most plans use these arrays. In rows: the inputs ``u`` and ``u_next`` at both ends of the interval to the next row,
-    the samples ``y``, and the length ``h`` of the interval [s]. Carried from row to row: the filter state ``s`` (mean,
-    and upper triangle of the covariance). Constant: the parameters ``p``.
+    the samples ``y``, and the length ``h`` of the interval [s]. Carried from row to row: the filter state, which is
+    ``m`` (mean) and ``P`` (covariance, with further numbers at the end of each row), or ``s`` (mean, and upper triangle
+    of the covariance) in the adjoint, in Joseph's form and without a covariance. Constant: the parameters ``p``.
 
     Attributes
     ----------
@@ -54,8 +55,8 @@ class Plans:
     def value(self) -> Plan:
         """Return the plan of the kernel of the log-likelihood.
 
-        The filter state ``s`` is carried from row to row, the parameters ``p`` are constant, and the log-likelihood
-        ``ll`` is summed over the rows.
+        The filter state is carried from row to row, the parameters ``p`` are constant, and the log-likelihood ``ll`` is
+        summed over the rows.
         """
         g = self.graphs
         if self.graphs.has_matrix_form:
@@ -106,17 +107,17 @@ class Plans:
     def tangent(self, double: bool = False) -> Plan:
         """Return the plan of the forward sensitivities, with one lane for each chosen parameter.
 
-        A lane is one element of the processor's vector registers. Arrays in lanes: ``ds`` (carried), the derivatives of
-        the filter state, which start from those of the initial state; ``dp`` (constant), the unit vector of the chosen
-        parameter; ``dll`` (summed over the rows), the derivative of the log-likelihood. ``fisher`` (summed) is the
-        expected Fisher information between all lanes, of which only blocks on and above the diagonal are written.
-        ``ll`` and ``s`` are those of ``value``.
+        A lane is one element of the processor's vector registers. Arrays in lanes: ``dm`` and ``dP`` (carried), the
+        derivatives of mean and covariance, which start from those of the initial state, or ``ds``, those of ``s``;
+        ``dp`` (constant), the unit vector of the chosen parameter; ``dll`` (summed over the rows), the derivative of
+        the log-likelihood. ``fisher`` (summed) is the expected Fisher information between all lanes, of which only
+        blocks on and above the diagonal are written. ``ll`` and the filter state are those of ``value``.
 
         Parameters
         ----------
         double : bool
             Whether the derivatives are in double precision. Otherwise they are in single precision, and only their sums
-            over the rows are in double precision. ``ll`` and ``s`` are always in double precision.
+            over the rows are in double precision. ``ll`` and the filter state are always in double precision.
 
         Notes
         -----
