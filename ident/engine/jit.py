@@ -36,6 +36,7 @@ QUICK_ROWS = 30_000
 # move values to and from the stack. A second scheduler takes a fifth of the compilation and makes the code no faster.
 # LLVM ends the process if an option is unknown; versions above 22 were not tested.
 OPTIONS = ("--pre-RA-sched=source", "--enable-misched=0") if AVAILABLE and llvm.llvm_version_info[0] <= 22 else ()
+FRAME = '"frame-pointer"="all"'  # function attribute with which LLVM can align the stack for spilled vectors
 NO_ROUTINES: Mapping[str, int] = {}
 DIGEST_BYTES = 32
 LARGEST_CACHE = 400_000_000  # bytes; above this size the least recently used files are deleted

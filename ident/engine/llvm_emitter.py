@@ -47,8 +47,6 @@ from seatrial.ident.engine.loop_plan import (
     TransposeStage,
 )
 
-FRAME = '"frame-pointer"="all"'  # function attribute with which LLVM can align the stack for spilled vectors
-
 
 class Value(NamedTuple):
     """Number in the generated LLVM IR: a scalar, or a vector of several numbers that one instruction processes.
@@ -190,7 +188,7 @@ class LlvmEmitter:
                 *sorted(self.declarations),
                 *self.function_lines,
                 f"define void @kernel(i64 %n, i64 %groups, ptr %mask, "
-                f"{_pointer_arguments(self.plan.sizes)}{steps}) {FRAME} {{",
+                f"{_pointer_arguments(self.plan.sizes)}{steps}) {jit.FRAME} {{",
                 "entry:",
                 *FLUSH_TO_ZERO.first,
                 *self.entry_lines,
@@ -336,7 +334,7 @@ class LlvmEmitter:
         declared = "".join(f", i64 %step.{name}" for name in steps)
         self.function_lines += [
             f"define internal void @stage{q}(i64 %k, i64 %g, i64 %groups, "
-            f"{_pointer_arguments(used, 'noalias')}{declared}) noinline {FRAME} {{",
+            f"{_pointer_arguments(used, 'noalias')}{declared}) noinline {jit.FRAME} {{",
             *self.loop_lines,
             "ret void",
             "}",

@@ -82,7 +82,7 @@ _ARGUMENTS = {
 def _definition(kind: str, name: str, lines: list[str]) -> str:
     """Return the text of a module that defines one routine with these lines of IR, the first of which is a label."""
     arguments = ", ".join(a.replace("ptr ", "ptr noalias ") for a in _ARGUMENTS[kind])
-    return "\n".join([f"define void @{name}({arguments}) {{", *lines, "ret void", "}", ""])
+    return "\n".join([f"define void @{name}({arguments}) {jit.FRAME} {{", *lines, "ret void", "}", ""])
 
 
 def _repeated(name: str, scalar: str, vector: str, width: int, number: str) -> list[str]:

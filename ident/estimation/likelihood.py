@@ -356,8 +356,8 @@ class Likelihood:
     def value_by_row(self, record: Record, values: Array) -> Array:
         """Return the contribution of each row (instant of the record) to the log-likelihood (n_rows,).
 
-        ``values`` (n_parameters,) are all parameters of the model. The result is not finite from the row on in which the
-        filter diverges.
+        ``values`` (n_parameters,) are all parameters of the model. The result is not finite from the row on in which
+        the filter diverges.
         """
         data, start = self._prepare_with_initial_state(record, values)
         kernel = self._common.kernels.value
