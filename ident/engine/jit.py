@@ -25,12 +25,12 @@ AVAILABLE = llvm is not None
 # Passes over the IR, and level of the code generation. CasADi has already simplified the expressions of a kernel:
 # passes over its IR and the code generation of level 2 only make its compilation longer.
 KERNEL = ("none", 1)
-# The same for `quick_compilation`: compilation takes a quarter of the time, and the code takes 1.4 times as long to run
+# The same for `quick_compilation`: compilation takes a third of the time, and the code takes 1.1 times as long to run
 QUICK = ("none", 0)
 LOOPS = ("level 1", 2)  # for IR with loops and variables in memory, which the passes move to registers
 # Rows in the records of a model. With more rows, quick compilation costs more than it saves: a refit with an effect has
-# about 12 evaluations, which take 6 us longer for each row (23 states), and its compilation takes 2.1 s less
-QUICK_ROWS = 30_000
+# about 12 evaluations, which take 1.1 us longer for each row (20 states), and its compilation takes 0.28 s less
+QUICK_ROWS = 20_000
 # Options of LLVM's code generation. Instructions keep the order in which the IR has them: stages have thousands of
 # instructions and fill all registers, so a scheduler that favours instructions in parallel adds a tenth more that only
 # move values to and from the stack. A second scheduler takes a fifth of the compilation and makes the code no faster.
@@ -86,7 +86,7 @@ def quick_compilation(n_rows: int) -> Iterator[None]:
 
     The setting applies to all threads, as long as one of them is in such a context.
 
-    It is meant for models that are fitted only once. Above 30 000 rows (`QUICK_ROWS`), it has no effect, because the
+    It is meant for models that are fitted only once. Above 20 000 rows (`QUICK_ROWS`), it has no effect, because the
     slower code would cost more time than the compilation saves. Another process loads a kernel that was compiled in
     such a context only in such a context, too. In this process the kernel remains that of its model.
 
