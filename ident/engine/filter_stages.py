@@ -150,6 +150,7 @@ class FilterStages:
         n = graphs.n
         self.stride = -(-n // jit.WIDTH) * jit.WIDTH
         self._P = ca.SX.sym(COVARIANCE, n * self.stride)
+        self._curvatures = graphs.curvatures if graphs.model.second_order else ()
         self.dm, self._dp = ca.SX.sym(DERIVATIVE_OF_MEAN, n), ca.SX.sym("dp", graphs.p.numel())
 
     @property
@@ -236,12 +237,12 @@ class FilterStages:
         noise = ca.sparsify(t.T @ t.Q @ t.T.T + t.Q)
         before = [(steps.append(t.Q[k, k]), k * (stride + 1)) for k in range(n) if not t.Q[k, k].is_zero()]
         after = [(steps.append(value), i * stride + j) for i, j, value in _entries(noise) if i <= j]
-        curvatures = _Scalars("curvatures") if g.model.second_order else None
-        factors = [] if curvatures is None else [curvatures.add(g.h / 2 * value) for *_, value in g.curvatures]
+        curvatures = _Scalars("curvatures") if self._curvatures else None
+        factors = [] if curvatures is None else [curvatures.add(g.h / 2 * value) for *_, value in self._curvatures]
         derivatives, last = self._prediction_derivatives(w) if self.derivatives else ([], [])
         values = {MEAN: g.mean_step[0], steps.name: steps.values} | ({w.name: w.values} if self.derivatives else {})
         if curvatures is not None:
-            known = [curvatures.add(self.covariance[j, k]) for _, j, k, _ in g.curvatures]
+            known = [curvatures.add(self.covariance[j, k]) for _, j, k, _ in self._curvatures]
             values[curvatures.name] = curvatures.values
             last = [self._curvature_stage(curvatures, factors, known), *last]
         inputs = self.inputs | ({COVARIANCE: self._P} if results or curvatures is not None else {})
@@ -270,12 +271,12 @@ class FilterStages:
         curvatures
             Array of `factors` and `before`.
         factors, before : Sequence[SX]
-            Half of the interval times each of ``graphs.curvatures``, and the element of the covariance before the
+            Half of the interval times each of `EkfGraphs.curvatures`, and the element of the covariance before the
             prediction that belongs to it.
         """
         mean, sums = self.graphs.mean, []
         change = ca.SX.zeros(self.graphs.n)
-        for (i, j, k, _), factor, P in zip(self.graphs.curvatures, factors, before, strict=True):
+        for (i, j, k, _), factor, P in zip(self._curvatures, factors, before, strict=True):
             sums.append(P + self.covariance[j, k])
             change[i] += factor * sums[-1]
         results = {MEAN: mean + change} | ({"sums": ca.vertcat(ca.SX(0, 1), *sums)} if self.derivatives else {})
@@ -290,8 +291,7 @@ class FilterStages:
         g, n, t, lanes = self.graphs, self.graphs.n, self.graphs.transition, _Lanes("l")
         noisy = [k for k in range(n) if not t.Q[k, k].is_zero()]
         Q = ca.vertcat(ca.SX(0, 1), *[t.Q[k, k] for k in noisy])
-        curvatures = g.curvatures if g.model.second_order else ()
-        factors = ca.vertcat(ca.SX(0, 1), *[g.h / 2 * value for *_, value in curvatures])
+        factors = ca.vertcat(ca.SX(0, 1), *[g.h / 2 * value for *_, value in self._curvatures])
         moved = self.derivative(ca.vertcat(g.mean_step[0], *t.A.nonzeros(), Q, factors), w)
         ends = np.cumsum([n, t.A.nnz(), len(noisy)]).tolist()
         dm, dA, dQ, dfactors = (moved[a:b] for a, b in zip([0, *ends], [*ends, moved.numel()], strict=True))
@@ -320,7 +320,7 @@ class FilterStages:
             for position, (i, k, _) in enumerate(_entries(w.add(matrix))):
                 terms[i].append((first + position, k))
         dP, (rows, copied) = DERIVATIVE_OF_COVARIANCE, self.covariance_of_lanes(None)
-        first_stages, last = self._curvature_derivatives(w, lanes, factors, dfactors) if curvatures else ([], [])
+        first_stages, last = self._curvature_derivatives(w, lanes, factors, dfactors)
         self.lanes |= {lanes.name, "dhalf", "dproduct"}
         self.scalars.add(w.name)
         noise = [AddEntriesStage(lanes.name, dP, tuple(diagonal))] if diagonal else []
@@ -350,9 +350,11 @@ class FilterStages:
         w, lanes
             Arrays of the prediction, to which the factors of the curvatures and their derivatives are appended.
         factors, dfactors : SX (n_curvatures, 1)
-            Half of the interval times each of ``graphs.curvatures``, and the derivatives.
+            Half of the interval times each of `EkfGraphs.curvatures`, and the derivatives.
         """
-        n, indices = self.graphs.n, [(i, j, k) for i, j, k, _ in self.graphs.curvatures]
+        n, indices = self.graphs.n, [(i, j, k) for i, j, k, _ in self._curvatures]
+        if not indices:
+            return [], []
         dP, before = ca.SX.sym("dP", n * n), ca.SX.sym("before", len(indices))
         known, sums, changed = w.add(factors), ca.SX.sym("sums", len(indices)), ca.SX(self.dm)
         for c, (i, j, k) in enumerate(indices):

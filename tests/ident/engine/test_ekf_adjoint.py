@@ -19,12 +19,32 @@ from seatrial.ident.engine.loop_plan import Factor, Plan, ProductStage, stage
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model.outlier_density import with_outlier_model
-from seatrial.ident.model.structure import Model
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.engine.test_kernel import operations, points
 from tests.ident.toys import turning
+
+
+def linear() -> Model:
+    """Return a model of speed with linear damping, whose rates have no second derivatives."""
+    return plain_model(
+        "linear",
+        f=lambda x, u, p: {"v": (u.X - p.d * x.v) / p.m},
+        h=lambda x, u, p: {"v": x.v},
+        states=(State("v", "m/s", noise="q", x0=0.2, sd0=0.3),),
+        inputs=(Input("X", "N"),),
+        sensors=(Sensor("log", (Output("v", "m/s", "e_v"),)),),
+        parameters=(
+            Parameter("m", 9.7, transform="log"),
+            Parameter("d", 4.0),
+            Parameter("q", 0.05, transform="log"),
+            Parameter("e_v", 0.02, transform="log"),
+        ),
+    )
+
 
 needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="compares compiled code, which needs llvmlite")
 MODELS: dict[str, Callable[[], Model]] = {
@@ -45,6 +65,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     },
     "turning": turning,
     "robust": lambda: with_outlier_model(turning()),
+    "second order, linear": lambda: replace(linear(), second_order=True),
     "second order": lambda: replace(make_model("horizontal:shaft"), second_order=True),
     "with disturbance forces": lambda: with_disturbances(horizontal_model("shaft")),
 }
