@@ -38,6 +38,7 @@ from tests.bench.runs import (
 from tests.bench.standin import RIG, SLOW_ESC_S, TIMEOUT_S, StandIn, until
 
 PARENT = "the program that started the acquisition"  # in messages of the acquisition process
+RUNNER = "the program that runs the mission"
 
 
 @pytest.mark.parametrize("moment", [0, *(pytest.param(k, marks=pytest.mark.study) for k in (1, 2, 3))])
@@ -224,7 +225,8 @@ def test_after_kill_9_of_the_runner_the_deadman_sends_zero(standin: StandIn, tmp
     assert standin.n == 0.0
     # The killed runner cannot print its last line, so the acquisition process prints it.
     why, _, thrust = run.line().partition(": ")[2].partition("; ")
-    assert why in (f"{PARENT} has ended", f"{PARENT} has not responded for 0.25 s {UNRESPONSIVE}")
+    silent = f"has not responded for 0.25 s {UNRESPONSIVE}"
+    assert why in (f"{PARENT} has ended", f"{PARENT} {silent}", f"{RUNNER} {silent}")
     assert thrust.startswith("zero thrust was sent, not confirmed: make sure that")
     assert thrust.endswith(f"; the log is {run.log}")
     log = open_log(run.log)
@@ -242,10 +244,12 @@ def test_if_the_runner_hangs_the_deadman_sends_zero(standin: StandIn, tmp_path: 
         assert standin.zero_after(sent) - sent < DEADMAN_S + AT_ONCE_S
         assert run.process.stderr is not None
         first = run.process.stderr.readline()  # printed by the acquisition process, because the runner still hangs
-        assert first == (
-            f"seatrial: {PARENT} has not responded for 0.25 s {UNRESPONSIVE}; zero thrust was sent, not confirmed: "
+        # Both are true of a process that hangs. On a busy machine the heartbeat of the mission may be the older one.
+        assert first in [
+            f"seatrial: {program} has not responded for 0.25 s {UNRESPONSIVE}; zero thrust was sent, not confirmed: "
             f"make sure that the propellers stand still; the log is {run.log}\n"
-        )
+            for program in (PARENT, RUNNER)
+        ]
         run.process.send_signal(signal.SIGCONT)
         assert run.end() in (1, 3)
     run.line()
