@@ -245,7 +245,7 @@ def guess_map(
     path : path, optional
         File to which the map is written. None: it is only returned.
     force : bool
-        Whether an existing file is replaced. If false, an existing file is an error.
+        Whether an existing file is replaced. If false, an existing file with another text is an error.
     geometry : dict, optional
         Numbers of the boat for the table [geometry]: ``y_left``, ``y_right`` (thrusters to starboard of the middle
         [m]), ``x_thrusters`` (thrusters forward of the centre of gravity [m], negative behind it), ``mass`` (weighed
@@ -291,7 +291,8 @@ def guess_map(
         if geometry or scale:
             _require_signals(sources[0], guess)
             parse_import_map(text, of_map)  # an error of the numbers is one of this call
-        if out is not None:
+        # A notebook cell that runs again finds its own map.
+        if out is not None and not (out.is_file() and out.read_bytes() == text.encode()):
             with replacing(out, force, [*sources, *guess.run.paths]) as part:
                 write_output(part, text)
     for line in guess.assumed:

@@ -1799,9 +1799,13 @@ def test_a_guessed_map_is_written_corrected_and_used(table: Path, tmp_path: Path
     text = st.guess_map(table, written)
     assert written.read_text(encoding="utf-8") == text == st.guess_map([table])
     assert text.startswith("# ")
+    assert st.guess_map(table, written) == text  # as when a notebook cell runs again
+    corrected = f"{text}# corrected\n"
+    written.write_text(corrected, encoding="utf-8")
     with pytest.raises(SeatrialError, match=r"exists already; force=True replaces it, path names another$"):
         st.guess_map(table, written)
-    assert st.guess_map(table, written, force=True) == text
+    assert written.read_text(encoding="utf-8") == corrected
+    assert st.guess_map(table, written, force=True) == text == written.read_text(encoding="utf-8")
     with warnings.catch_warnings():
         warnings.simplefilter("error", SeatrialWarning)  # a given map is no guess
         (log,) = st.import_log(table, map_path=written, out_dir=tmp_path)
