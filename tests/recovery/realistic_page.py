@@ -48,8 +48,8 @@ of full or of double size is added, which no file declares. Two missions of 400 
 
 On boat {seed}, {n_run} of the {n_all} effects were run, with `--effects`: those that were expected to change the motion
 most. The other boats have other imperfections, and an effect each that was drawn at random (`--seeds 1 --seed BOAT`).
-So the shares below are not those of all effects. A study of all rows takes hours: they are of {n_codes} states of the
-code (`code` in the data), and single rows can differ from what the present one says.
+So the shares below are not those of all effects. A study of all rows takes more than an hour: they are of {n_codes}
+states of the code (`code` in the data), and single rows can differ from what the present one says.
 The CPU seconds are those of different machines, some of them half as fast as others.
 
 The column *matters* is known only to the study: the error ten seconds ahead of a model with everything but this effect,
