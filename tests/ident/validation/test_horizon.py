@@ -30,7 +30,7 @@ from seatrial.ident.studies.monte_carlo import make_record
 from seatrial.ident.validation import calibration
 from seatrial.ident.validation.calibration import Calibration
 from seatrial.ident.validation.evaluation import evaluate, prediction_changes
-from seatrial.ident.validation.prediction_errors import MAX_STARTS, WARM_UP, simulation_run
+from seatrial.ident.validation.prediction_errors import WARM_UP, simulation_run
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with, channels_of, sail
 
@@ -226,7 +226,7 @@ def test_calibration_is_right_on_simulated_bench_data() -> None:
         for s in (1.0, 0.02)
     )
     assert calibration.pooled_calibration([poor])["n"].verdict == "overconfident"
-    assert record.n_rows > MAX_STARTS >= near["n"].size > MAX_STARTS / 3
+    assert record.n_rows > calibration.MOST_STARTS >= near["n"].size > calibration.MOST_STARTS / 3
 
 
 @pytest.mark.study
