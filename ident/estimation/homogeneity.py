@@ -441,9 +441,10 @@ def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShif
     """Return the parameter whose change explains best how a run, for example a validation run, differs from a fit.
 
     Each estimated shared parameter except noise is fitted in turn to the run alone, together with the run's per-record
-    parameters; and so is a payload if the model has ``m_u`` and ``m_v``. The shared parameter has no prior; the payload
-    keeps its prior. A candidate that cannot be fitted, or of which either fit has no standard error, is skipped. Of the
-    parameters that differ by more than 5 standard errors, the one with the largest log-likelihood is returned.
+    parameters; and so is a payload, with its shares of drag and yaw inertia, if the model has ``m_u`` and ``m_v``. The
+    shared parameter has no prior; those of the payload keep their priors. A candidate that cannot be fitted, or of
+    which either fit has no standard error, is skipped. Of the parameters that differ by more than 5 standard errors,
+    the one with the largest log-likelihood is returned.
 
     Parameters
     ----------
@@ -462,13 +463,14 @@ def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShif
     model = fitted.model.with_values(dict(zip(fitted.model.values, values.tolist(), strict=True)))
     own = [p.name for p in model.parameters if p.free and p.per_record]
     shared = {p.name for p in fitted.parameters if p.segment is None} - model.noise_parameters
-    tried = [(n, model.replace_parameters(replace(model.parameter(n), prior=None))) for n in shared]
+    tried = [(n, [n], model.replace_parameters(replace(model.parameter(n), prior=None))) for n in shared]
     if {"m_u", "m_v"} <= set(model.values):
-        tried.append(("m_payload", model + between_runs_effect(model, PAYLOAD)))
+        load = between_runs_effect(model, PAYLOAD)
+        tried.append(("m_payload", [p.name for p in load.parameters], model + load))
     found: list[ParameterShift] = []
-    for name, larger in tried:
+    for name, free, larger in tried:
         try:
-            alone = fit(larger.with_free({name, *own}), [record.for_model(larger)], settings=ROUGH_SEARCH)
+            alone = fit(larger.with_free({*free, *own}), [record.for_model(larger)], settings=ROUGH_SEARCH)
         except FIT_ERRORS:
             continue
         unit, (value, value_error) = larger.parameter(name).unit, alone.estimate(name)

@@ -1561,8 +1561,6 @@ def test_payload_in_one_run_is_identified() -> None:
     assert "has separate parameters for each run" in _blocks_note(evaluation)[0]
 
 
-@pytest.mark.slow
-@pytest.mark.study
 def test_validation_run_with_an_extra_payload_is_reported() -> None:
     clean = boat_with(None, 1)
     light, heavy = segments(clean, loaded(clean, 20.0))
