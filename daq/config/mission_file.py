@@ -562,5 +562,5 @@ def _toml_string(text: str) -> str:
 
 
 def _toml_array(values: FloatArray) -> str:
-    """Return numbers (K,) as a TOML array in one line, such as "[0.0, 0.5]", without rounding."""
+    """Return numbers (K,) as the text of a TOML array, such as "[0.0, 0.5]". The numbers are not rounded."""
     return "[" + ", ".join(repr(value) for value in values.tolist()) + "]"

@@ -158,7 +158,7 @@ class TomlTable:
         return SeatrialError(f"{self.source}: {self._full_key(key)}{whose}: {problem}")
 
     def _full_key(self, key: str) -> str:
-        """Return a key after the name of its table, such as `limits.n_max`."""
+        """Return the name of a key with the name of its table before it, such as `limits.n_max`."""
         return f"{self.where}.{key}" if self.where else key
 
     def _read_value(self, key: str, default: object) -> object:

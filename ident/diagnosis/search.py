@@ -1405,12 +1405,10 @@ class _Search:
         size = self.policy.n_refits
         batches = [specific[k : k + size] for k in range(0, size * self.policy.n_batches, size)]
         last = [s for batch in batches for s in batch if s.name in failed]
-        curves = {
-            s.name: self.nonparametric_effect(s, current)
-            for s in [s for s in passed if s.nonparametric][: self.policy.n_nonparametric]
-        }
+        passed_curves = [s for s in passed if s.nonparametric][: self.policy.n_nonparametric]
+        curves = [self.nonparametric_effect(s, current) for s in passed_curves]
         specific_effects = [self.candidates[s.name] for batch in batches for s in batch]
-        self._share_kernels(current.fit.model, [*specific_effects, *curves.values()])
+        self._share_kernels(current.fit.model, [*specific_effects, *curves])
         n_generic, after = sum(s.nonparametric for s in passed), self._possible_rounds - 1
         n_most = sum(map(len, batches)) + min(n_generic, self.policy.n_nonparametric)
         self._plan(after, (len(batches[0]) + min(n_generic, 1), n_most))
@@ -1637,7 +1635,7 @@ class _Search:
         return self._nonparametric[key][0]
 
     def _best_accepted(self, refits: Sequence[Refit]) -> Refit | None:
-        """Return the accepted refit with the largest criterion; None without any."""
+        """Return the accepted refit with the largest criterion; None if no refit is accepted."""
         return max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
 
     def _refit_waves_beside(self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]) -> None:

@@ -99,7 +99,7 @@ class ScalarUpdate:
         Covariance after the update: covariance before it minus ``inverse_variance PH PH'``.
     PH : SX (n, 1) or None
         Covariance before the update times H'.
-    inverse_variance : SX or None
+    inverse_variance : SX
         1 / S for normal noise. If the density includes outliers: about 1 / S for a good sample, about 0 for an outlier,
         and negative for a sample that may be either.
     """

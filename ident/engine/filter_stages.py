@@ -189,9 +189,9 @@ class FilterStages:
         stages: list[Stage] = [stage(self.inputs, results, q)]
         if derivatives is not None:
             stages.append(derivatives.of_measurement)
-        PH, dx, seen = (ca.SX.sym(k, size) for k, size in zip(("PH", "dx", "seen"), self._sizes(samples), strict=True))
-        at_PH, at_dx, at_gain, at_seen = f"PH{q}", f"dx{q}", f"gain{q}", f"seen{q}"
         n, last, first = self.graphs.n, len(samples) - 1, 1
+        PH, dx, seen = ca.SX.sym("PH", self.stride), ca.SX.sym("dx", n), ca.SX.sym("seen", 2 * last)
+        at_PH, at_dx, at_gain, at_seen = f"PH{q}", f"dx{q}", f"gain{q}", f"seen{q}"
         for i, s in enumerate(known):
             terms = tuple((first + k, column) for k, (_, column, _) in enumerate(_entries(s.H)))
             first += len(terms) + 2  # e, the entries of H, and R
@@ -389,10 +389,6 @@ class FilterStages:
     def stage_in_lanes(self, w: _Scalars, results: dict[str, Any], bit: int | None) -> Stage:
         """Return the stage that computes results from the derivatives of the mean, the directions and ``w``."""
         return stage({DERIVATIVE_OF_MEAN: self.dm, "dp": self._dp, w.name: w.symbols}, results, bit)
-
-    def _sizes(self, samples: Sequence[Sample]) -> tuple[int, int, int]:
-        """Return the sizes of the arrays between the scalars of an update: covariance times H', change, innovations."""
-        return self.stride, self.graphs.n, 2 * (len(samples) - 1)
 
 
 class _UpdateDerivatives:

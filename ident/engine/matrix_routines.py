@@ -139,14 +139,12 @@ def _combine_ir(name: str, n: int, width: int, number: str) -> str:
             f"br i1 %more1.{b}, label %body1.{b}, label %head2.{b}",
             f"body1.{b}:",
             *_term_indices("i", b),
-            f"%lane.{b}.p = getelementptr {vector}, ptr %lanes, i64 %i.{b}.a",
-            f"%lane.{b} = load {vector}, ptr %lane.{b}.p, align {align}",
+            *_loaded(f"%lane.{b}", vector, "%lanes", f"%i.{b}.a"),
             f"%line.{b} = getelementptr {number}, ptr %lines, i64 %i.{b}.b",
         ]
         for j in entries:
             lines += [
-                f"%s{j}.p = getelementptr {number}, ptr %line.{b}, i64 {j}",
-                f"%s{j} = load {number}, ptr %s{j}.p, align {align}",
+                *_loaded(f"%s{j}", number, f"%line.{b}", j),
                 *_repeated(f"%v{j}", f"%s{j}", vector, width, number),
                 *_product_added(f"%x{j}.1", vector, f"%lane.{b}", f"%v{j}", f"%x{j}"),
             ]
@@ -158,16 +156,14 @@ def _combine_ir(name: str, n: int, width: int, number: str) -> str:
             f"br i1 %more2.{b}, label %body2.{b}, label %done.{b}",
             f"body2.{b}:",
             *_term_indices("k", b),
-            f"%scalar.{b}.p = getelementptr {number}, ptr %scalars, i64 %k.{b}.a",
-            f"%scalar.{b}.1 = load {number}, ptr %scalar.{b}.p, align {align}",
+            *_loaded(f"%scalar.{b}.1", number, "%scalars", f"%k.{b}.a"),
             *_repeated(f"%scalar.{b}", f"%scalar.{b}.1", vector, width, number),
             f"%at.{b} = mul i64 %k.{b}.b, {n}",
             f"%from.{b} = getelementptr {vector}, ptr %matrix, i64 %at.{b}",
         ]
         for j in entries:
             lines += [
-                f"%d{j}.p = getelementptr {vector}, ptr %from.{b}, i64 {j}",
-                f"%d{j} = load {vector}, ptr %d{j}.p, align {align}",
+                *_loaded(f"%d{j}", vector, f"%from.{b}", j),
                 *_product_added(f"%y{j}.1", vector, f"%scalar.{b}", f"%d{j}", f"%y{j}"),
             ]
         lines += [f"br label %head2.{b}", f"done.{b}:"]
@@ -204,67 +200,79 @@ def _term_indices(index: str, block: str) -> list[str]:
     ]
 
 
+def _loop(index: str, end: str, body: list[str]) -> list[str]:
+    """Return lines of IR that run ``body`` for the values 0, 1, ... below ``end`` of an index, and end at ``exit``.
+
+    The lines begin in the block ``entry``. ``index`` is the name of the index, with the percent sign.
+    """
+    return [
+        "br label %loop",
+        "loop:",
+        f"{index} = phi i64 [0, %entry], [{index}.next, %loop]",
+        *body,
+        f"{index}.next = add i64 {index}, 1",
+        f"%more = icmp slt i64 {index}.next, {end}",
+        "br i1 %more, label %loop, label %exit",
+        "exit:",
+    ]
+
+
+def _loaded(name: str, kind: str, pointer: str, index: int | str) -> list[str]:
+    """Return lines of IR that load ``name`` of the type ``kind`` from the entry ``index`` at ``pointer``.
+
+    The address remains in ``name.p``.
+    """
+    align = 4 if "float" in kind else 8
+    return [
+        f"{name}.p = getelementptr {kind}, ptr {pointer}, i64 {index}",
+        f"{name} = load {kind}, ptr {name}.p, align {align}",
+    ]
+
+
 def _add_products_ir(name: str, n: int, width: int, number: str) -> str:
     """Return the IR of the routine that adds ``a w' + w a'`` to a symmetric matrix (n, n) in lanes.
 
     The vector a is in ``lanes``, and w in ``scalars``.
     """
     vector, align = f"<{width} x {number}>", 4 if number == "float" else 8
-    lines = [
-        "entry:",
-        "br label %row",
-        "row:",
-        "%i = phi i64 [0, %entry], [%i.next, %row]",
-        f"%ai.p = getelementptr {vector}, ptr %lanes, i64 %i",
-        f"%ai = load {vector}, ptr %ai.p, align {align}",
-        f"%wi.p = getelementptr {number}, ptr %scalars, i64 %i",
-        f"%wi.1 = load {number}, ptr %wi.p, align {align}",
+    body = [
+        *_loaded("%ai", vector, "%lanes", "%i"),
+        *_loaded("%wi.1", number, "%scalars", "%i"),
         *_repeated("%wi", "%wi.1", vector, width, number),
         f"%at = mul i64 %i, {n}",
         f"%line = getelementptr {vector}, ptr %matrix, i64 %at",
     ]
     for j in range(n):
-        lines += [
-            f"%d{j}.p = getelementptr {vector}, ptr %line, i64 {j}",
-            f"%d{j} = load {vector}, ptr %d{j}.p, align {align}",
-            f"%w{j}.p = getelementptr {number}, ptr %scalars, i64 {j}",
-            f"%w{j}.1 = load {number}, ptr %w{j}.p, align {align}",
+        body += [
+            *_loaded(f"%d{j}", vector, "%line", j),
+            *_loaded(f"%w{j}.1", number, "%scalars", j),
             *_repeated(f"%w{j}", f"%w{j}.1", vector, width, number),
-            f"%a{j}.p = getelementptr {vector}, ptr %lanes, i64 {j}",
-            f"%a{j} = load {vector}, ptr %a{j}.p, align {align}",
+            *_loaded(f"%a{j}", vector, "%lanes", j),
             *_product_added(f"%x{j}", vector, "%ai", f"%w{j}", f"%d{j}"),
             *_product_added(f"%y{j}", vector, f"%a{j}", "%wi", f"%x{j}"),
             f"store {vector} %y{j}, ptr %d{j}.p, align {align}",
         ]
-    lines += ["%i.next = add i64 %i, 1", f"%more = icmp slt i64 %i.next, {n}", "br i1 %more, label %row, label %exit"]
-    return _definition(ADD_PRODUCTS, name, [*lines, "exit:"])
+    return _definition(ADD_PRODUCTS, name, ["entry:", *_loop("%i", str(n), body)])
 
 
 def _add_transposed_ir(name: str, n: int, width: int, number: str) -> str:
     """Return the IR of the routine that computes the sum of a matrix (n, n) in lanes and of its transpose."""
     vector, align = f"<{width} x {number}>", 4 if number == "float" else 8
-    lines = [
-        "entry:",
-        "br label %row",
-        "row:",
-        "%i = phi i64 [0, %entry], [%i.next, %row]",
+    body = [
         f"%at = mul i64 %i, {n}",
         f"%line = getelementptr {vector}, ptr %matrix, i64 %at",
         f"%column = getelementptr {vector}, ptr %matrix, i64 %i",
         f"%to = getelementptr {vector}, ptr %result, i64 %at",
     ]
     for j in range(n):
-        lines += [
-            f"%a{j}.p = getelementptr {vector}, ptr %line, i64 {j}",
-            f"%a{j} = load {vector}, ptr %a{j}.p, align {align}",
-            f"%b{j}.p = getelementptr {vector}, ptr %column, i64 {j * n}",
-            f"%b{j} = load {vector}, ptr %b{j}.p, align {align}",
+        body += [
+            *_loaded(f"%a{j}", vector, "%line", j),
+            *_loaded(f"%b{j}", vector, "%column", j * n),
             f"%s{j} = fadd {FLAGS} {vector} %a{j}, %b{j}",
             f"%o{j}.p = getelementptr {vector}, ptr %to, i64 {j}",
             f"store {vector} %s{j}, ptr %o{j}.p, align {align}",
         ]
-    lines += ["%i.next = add i64 %i, 1", f"%more = icmp slt i64 %i.next, {n}", "br i1 %more, label %row, label %exit"]
-    return _definition(ADD_TRANSPOSED, name, [*lines, "exit:"])
+    return _definition(ADD_TRANSPOSED, name, ["entry:", *_loop("%i", str(n), body)])
 
 
 def _add_outer_product_ir(name: str, n: int, width: int, number: str) -> str:
@@ -273,51 +281,37 @@ def _add_outer_product_ir(name: str, n: int, width: int, number: str) -> str:
     The vector a is in ``column``, and w in ``line``.
     """
     vector, align = f"<{width} x {number}>", 4 if number == "float" else 8
-    lines = [
-        "entry:",
-        *[f"%w{j}.p = getelementptr {vector}, ptr %line, i64 {j}" for j in range(n)],
-        *[f"%w{j} = load {vector}, ptr %w{j}.p, align {align}" for j in range(n)],
-        "br label %row",
-        "row:",
-        "%i = phi i64 [0, %entry], [%i.next, %row]",
-        f"%a.p = getelementptr {number}, ptr %column, i64 %i",
-        f"%a.1 = load {number}, ptr %a.p, align {align}",
+    body = [
+        *_loaded("%a.1", number, "%column", "%i"),
         *_repeated("%a", "%a.1", vector, width, number),
         f"%at = mul i64 %i, {n}",
         f"%to = getelementptr {vector}, ptr %matrix, i64 %at",
     ]
     for j in range(n):
-        lines += [
-            f"%d{j}.p = getelementptr {vector}, ptr %to, i64 {j}",
-            f"%d{j} = load {vector}, ptr %d{j}.p, align {align}",
+        body += [
+            *_loaded(f"%d{j}", vector, "%to", j),
             *_product_added(f"%x{j}", vector, "%a", f"%w{j}", f"%d{j}"),
             f"store {vector} %x{j}, ptr %d{j}.p, align {align}",
         ]
-    lines += ["%i.next = add i64 %i, 1", "%more = icmp slt i64 %i.next, %rows", "br i1 %more, label %row, label %exit"]
-    return _definition(ADD_OUTER_PRODUCT, name, [*lines, "exit:"])
+    first = [line for j in range(n) for line in _loaded(f"%w{j}", vector, "%line", j)]
+    return _definition(ADD_OUTER_PRODUCT, name, ["entry:", *first, *_loop("%i", "%rows", body)])
 
 
 def _transpose_ir(name: str, n: int, stride: int, number: str) -> str:
     """Return the IR of the routine that transposes a matrix of n rows, of which each takes ``stride`` numbers."""
     align = 4 if number == "float" else 8
-    lines = [
-        "entry:",
-        "br label %row",
-        "row:",
-        "%i = phi i64 [0, %entry], [%i.next, %row]",
+    body = [
         f"%at = mul i64 %i, {stride}",
         f"%line = getelementptr {number}, ptr %matrix, i64 %at",
         f"%column = getelementptr {number}, ptr %result, i64 %i",
     ]
     for j in range(n):
-        lines += [
-            f"%a{j}.p = getelementptr {number}, ptr %line, i64 {j}",
-            f"%a{j} = load {number}, ptr %a{j}.p, align {align}",
+        body += [
+            *_loaded(f"%a{j}", number, "%line", j),
             f"%o{j}.p = getelementptr {number}, ptr %column, i64 {j * stride}",
             f"store {number} %a{j}, ptr %o{j}.p, align {align}",
         ]
-    lines += ["%i.next = add i64 %i, 1", f"%more = icmp slt i64 %i.next, {n}", "br i1 %more, label %row, label %exit"]
-    return _definition(TRANSPOSE, name, [*lines, "exit:"])
+    return _definition(TRANSPOSE, name, ["entry:", *_loop("%i", str(n), body)])
 
 
 def _mirror_ir(name: str, n: int, stride: int, number: str) -> str:
@@ -330,8 +324,7 @@ def _mirror_ir(name: str, n: int, stride: int, number: str) -> str:
         for j in range(i + 1, n):
             a = f"%a{i}.{j}"
             lines += [
-                f"{a}.p = getelementptr {number}, ptr %matrix, i64 {i * stride + j}",
-                f"{a} = load {number}, ptr {a}.p, align {align}",
+                *_loaded(a, number, "%matrix", i * stride + j),
                 f"{a}.q = getelementptr {number}, ptr %matrix, i64 {j * stride + i}",
                 f"store {number} {a}, ptr {a}.q, align {align}",
             ]
@@ -341,25 +334,13 @@ def _mirror_ir(name: str, n: int, stride: int, number: str) -> str:
 def _copy_to_single_ir(name: str, n: int, width: int, number: str) -> str:
     """Return the IR of the routine that copies n vectors of doubles to an array in single precision."""
     vector, single = f"<{width} x {number}>", f"<{width} x float>"
-    return _definition(
-        COPY_TO_SINGLE,
-        name,
-        [
-            "entry:",
-            "br label %next",
-            "next:",
-            "%i = phi i64 [0, %entry], [%i.next, %next]",
-            f"%a.p = getelementptr {vector}, ptr %matrix, i64 %i",
-            f"%a = load {vector}, ptr %a.p, align 8",
-            f"%s = fptrunc {vector} %a to {single}",
-            f"%s.p = getelementptr {single}, ptr %result, i64 %i",
-            f"store {single} %s, ptr %s.p, align 4",
-            "%i.next = add i64 %i, 1",
-            f"%more = icmp slt i64 %i.next, {n}",
-            "br i1 %more, label %next, label %exit",
-            "exit:",
-        ],
-    )
+    body = [
+        *_loaded("%a", vector, "%matrix", "%i"),
+        f"%s = fptrunc {vector} %a to {single}",
+        f"%s.p = getelementptr {single}, ptr %result, i64 %i",
+        f"store {single} %s, ptr %s.p, align 4",
+    ]
+    return _definition(COPY_TO_SINGLE, name, ["entry:", *_loop("%i", str(n), body)])
 
 
 def _add_gram_ir(name: str, n: int, width: int, number: str) -> str:
@@ -368,33 +349,25 @@ def _add_gram_ir(name: str, n: int, width: int, number: str) -> str:
     ``left`` and ``right`` have n vectors. Element (i, j) of the block is increased by the sum over the vectors of (lane
     i of ``left``) times (lane j of ``right``).
     """
-    sums, source, align = f"<{width} x double>", f"<{width} x {number}>", 4 if number == "float" else 8
-    lines = ["entry:"]
+    sums, source = f"<{width} x double>", f"<{width} x {number}>"
+    first = [line for e in range(n) for line in _loaded_double(f"%b{e}", source, sums, "%right", e)]
+    body = _loaded("%s0", sums, "%result", "%i")
     for e in range(n):
-        lines += [
-            f"%b{e}.p = getelementptr {source}, ptr %right, i64 {e}",
-            *_load_double(f"%b{e}", source, sums, align),
-        ]
-    lines += ["br label %lane", "lane:", "%i = phi i64 [0, %entry], [%i.next, %lane]"]
-    lines += [f"%s.p = getelementptr {sums}, ptr %result, i64 %i", f"%s0 = load {sums}, ptr %s.p, align 8"]
-    for e in range(n):
-        lines += [
+        body += [
             f"%at{e} = add i64 %i, {e * width}",
-            f"%a{e}.p = getelementptr {number}, ptr %left, i64 %at{e}",
-            *_load_double(f"%a{e}", number, "double", align),
+            *_loaded_double(f"%a{e}", number, "double", "%left", f"%at{e}"),
             *_repeated(f"%v{e}", f"%a{e}", sums, width, "double"),
             *_product_added(f"%s{e + 1}", sums, f"%v{e}", f"%b{e}", f"%s{e}"),
         ]
-    lines += [f"store {sums} %s{n}, ptr %s.p, align 8", "%i.next = add i64 %i, 1"]
-    lines += [f"%more = icmp slt i64 %i.next, {width}", "br i1 %more, label %lane, label %exit", "exit:"]
-    return _definition(ADD_GRAM, name, lines)
+    body.append(f"store {sums} %s{n}, ptr %s0.p, align 8")
+    return _definition(ADD_GRAM, name, ["entry:", *first, *_loop("%i", str(width), body)])
 
 
-def _load_double(name: str, kind: str, wanted: str, align: int) -> list[str]:
-    """Return lines of IR that load ``name`` of the type ``kind`` from ``name.p``, and convert it to ``wanted``."""
+def _loaded_double(name: str, kind: str, wanted: str, pointer: str, index: int | str) -> list[str]:
+    """Return lines of IR that load a number or vector as `_loaded`, and convert it to doubles, the type ``wanted``."""
     if kind == wanted:
-        return [f"{name} = load {kind}, ptr {name}.p, align {align}"]
-    return [f"{name}.0 = load {kind}, ptr {name}.p, align {align}", f"{name} = fpext {kind} {name}.0 to {wanted}"]
+        return _loaded(name, kind, pointer, index)
+    return [*_loaded(f"{name}.0", kind, pointer, index), f"{name} = fpext {kind} {name}.0 to {wanted}"]
 
 
 _WRITERS = {

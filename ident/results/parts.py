@@ -243,7 +243,7 @@ class ForceScale(Part, frozen=True, kw_only=True):
 
 
 class UnusedSignal(Part, frozen=True, kw_only=True):
-    """Logged signal that the model uses neither as an input nor as an output."""
+    """Logged signal that is neither an input nor an output of the model."""
 
     signal: Annotated[str, Meta(description="name of the signal")]
     logs: Annotated[tuple[str, ...], Meta(description="names of the logs that contain the signal")]

@@ -842,10 +842,10 @@ def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: 
 def common_errors_notes(
     found: CommonErrorsFit | None, beside: str, rejected: RejectedCommonErrors | None = None
 ) -> list[str]:
-    """Return a note that names the common errors in the model, with their gain on the validation data.
+    """Return a note that names the common errors in the model and states their gain on the validation data.
 
-    Common errors are small errors that every craft has: sensor timing, mounting, hull form. The gain is unknown, and
-    the note states so, if they were in the model that was given.
+    Common errors are small errors that every craft has: sensor timing, mounting, hull form. If they were in the model
+    that was given, their gain is unknown, and the note says this.
 
     Parameters
     ----------

@@ -378,7 +378,7 @@ def _verdict(p: float | None, level: float, passed: str, failed: str) -> str:
 
 
 def _or_nan(value: float | None) -> float:
-    """Return the value. NaN takes the place of None."""
+    """Return the value, or NaN if it is None."""
     return math.nan if value is None else value
 
 

@@ -189,9 +189,9 @@ def _error_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
 
 
 def error_words(error: float | None) -> str:
-    """Return an RMS prediction error as text: three digits, or ``diverged`` if it is None.
+    """Return an RMS prediction error as text with three digits. The text is ``diverged`` if the error is None.
 
-    An error is None in a result if it was not finite, because the prediction diverged.
+    A result has None in place of an error that is not finite because the prediction diverged.
     """
     return "diverged" if error is None else formatting.plain(error)
 

@@ -362,7 +362,7 @@ def _depends_on_chance(
     Parameters
     ----------
     measured
-        Times [s] and measured forward speeds [m/s] of the record; None: unknown, so that nothing is said.
+        Times [s] and measured forward speeds [m/s] of the record; None if they are unknown; the result is then False.
     rates
         Growth rates of the model over the speed (`growth_over_speed`); None: the model is not unstable.
     horizon
